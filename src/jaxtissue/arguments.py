@@ -1,0 +1,140 @@
+"""What can be said on the command line, and the checks that need no file."""
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+from jaxtissue.lines import resolution_named
+from jaxtissue.settings import Settings
+
+TUBE_SIZES = ("length", "apical_radius", "basal_radius")
+_HELP = {
+    "anneal": "anneal a tissue into a folder, or take up a run there",
+    "measure": "measure the cells of given backbones",
+    "compare": "show the errors of each preset against the exact path",
+    "info": "show versions, devices, precision and the optional packages found",
+}
+
+
+def command_parser() -> argparse.ArgumentParser:
+    """The parser of all commands; it raises `ValueError` for what it can't take.
+
+    `anneal` leaves out the settings that are not given, since a resumed run has its own.
+    """
+    parser = _Parser(prog="jaxtissue", description="3D epithelial tubes: cells as Voronoi cells of backbones")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    options = {
+        name: commands.add_parser(name, help=text, description=text, allow_abbrev=False)
+        for name, text in _HELP.items()
+    }
+    for name, command in options.items():
+        default = argparse.SUPPRESS if name == "anneal" else False
+        command.add_argument("--x64", action="store_true", default=default, help="compute in 64 bits")
+    _add_anneal(options["anneal"])
+    for name in ("measure", "compare"):
+        command = options[name]
+        command.add_argument(
+            "file", type=Path, metavar="FILE", help="backbones as CSV: axial,angle in radians"
+        )
+        for size in TUBE_SIZES:
+            command.add_argument(_option(size), type=_number(0, above=True), required=True, metavar="X")
+        _add_folder(command, required=name == "measure")
+    _add_measure(options["measure"])
+    options["compare"].add_argument(
+        "--samples", type=_count(2, 10_000), default=50, metavar="S", help="points per backbone (default: 50)"
+    )
+    return parser
+
+
+def _add_anneal(command: argparse.ArgumentParser) -> None:
+    _add_folder(command, required=True)
+    command.add_argument("--resume", action="store_true", help="go on with the run in DIR; --sweeps may grow")
+    positive, size, whole = _number(0, above=True), _number(0), _count(0)
+    kinds: dict[str, tuple[Callable[[str], Any], str, str]] = {
+        "length": (positive, "X", "length of the tube"),
+        "apical_radius": (positive, "X", "radius of the lumen"),
+        "basal_radius": (positive, "X", "outer radius"),
+        "seed": (_count(0, 2**32 - 1), "S", "of the random cells and moves"),
+        "sweeps": (whole, "N", "a sweep proposes one move per cell"),
+        "temperature": (size, "T", "0 accepts only moves that lower the energy"),
+        "final_temperature": (positive, "T", "cool down to it, by the same factor every sweep"),
+        "modulus": (size, "K", "weight of the volume term"),
+        "tension": (size, "LAMBDA", "weight of the area term"),
+        "resolution": (_resolution, "NAME", "draft, standard, fine or LAYERSxDENSITY"),
+        "patience": (whole, "N", "stop when the energy has not fallen for N sweeps, 0: never"),
+    }
+    for name, (kind, metavar, text) in kinds.items():
+        _add(command, name, text, getattr(Settings, name), type=kind, metavar=metavar)
+    _add(command, "algorithm", "rounds of independent moves, or one move at a time", Settings.algorithm,
+         choices=("is-mh", "mh"))  # fmt: skip
+    start = command.add_mutually_exclusive_group()
+    _add(start, "backbones", "CSV of backbones to start from", None, metavar="FILE")
+    _add(start, "cells", "number of random cells to start from", Settings.cells, type=_count(1), metavar="N")
+
+
+def _add_measure(command: argparse.ArgumentParser) -> None:
+    size = _number(0)
+    command.add_argument("--resolution", type=_resolution, default="standard", metavar="NAME",
+                         help="draft, standard, fine or LAYERSxDENSITY (default: standard)")  # fmt: skip
+    for name, metavar in (("modulus", "K"), ("tension", "LAMBDA")):
+        default = getattr(Settings, name)
+        text = f"in the energy (default: {default})"
+        command.add_argument(_option(name), type=size, default=default, metavar=metavar, help=text)
+
+
+def _add(command: Any, name: str, text: str, default: Any, **options: Any) -> None:
+    """Add a setting of `anneal`, with its default in the help only."""
+    text += "" if default is None else f" (default: {default})"
+    command.add_argument(_option(name), default=argparse.SUPPRESS, help=text, **options)
+
+
+def _add_folder(command: argparse.ArgumentParser, required: bool) -> None:
+    command.add_argument("--out", type=Path, required=required, metavar="DIR", help="folder to make")
+    command.add_argument("--force", action="store_true", help="write into DIR even if it exists")
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are exceptions, so that every bad input ends in the same one line."""
+
+    def error(self, message: str) -> NoReturn:
+        raise ValueError(message)
+
+
+def _number(low: float, above: bool = False) -> Callable[[str], float]:
+    """A reader of finite numbers of at least `low`, or above it."""
+
+    def number(text: str) -> float:
+        value = float(text)
+        if not (math.isfinite(value) and (value > low if above else value >= low)):
+            bound = f"above {low:g}" if above else f"of at least {low:g}"
+            raise argparse.ArgumentTypeError(f"{text} is out of range; give a finite number {bound}")
+        return value
+
+    return number
+
+
+def _count(low: int, high: int = 10**9) -> Callable[[str], int]:
+    """A reader of whole numbers from `low` to `high`."""
+
+    def integer(text: str) -> int:
+        value = int(text)
+        if not low <= value <= high:
+            bounds = f"from {low} to {high}"
+            raise argparse.ArgumentTypeError(f"{text} is out of range; give a whole number {bounds}")
+        return value
+
+    return integer
+
+
+def _resolution(text: str) -> str:
+    try:
+        resolution_named(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    return text

@@ -1,0 +1,116 @@
+"""The command line: anneal, measure, compare, info. Results go to stdout, progress and errors to stderr."""
+
+import sys
+import time
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxtissue import io
+from jaxtissue.arguments import TUBE_SIZES, command_parser
+from jaxtissue.energy import tube_model
+from jaxtissue.lines import resolution_named
+from jaxtissue.runs import resume_annealing, run_annealing
+from jaxtissue.settings import Settings, provenance, saved_settings, versions
+from jaxtissue.tables import compare_presets, tabulate_cells
+from jaxtissue.tube import Tube
+
+EXTRAS = ("tifffile", "skimage", "pyevtk", "pandas", "pyvista", "trimesh")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code: 0 done, 2 bad input, 128 + signal stopped, 1 other."""
+    try:
+        arguments = vars(command_parser().parse_args(argv))
+        work = {"anneal": anneal, "measure": measure, "compare": compare, "info": info}
+        return work[arguments.pop("command")](arguments)
+    except ValueError as error:
+        return _fail(error, 2)
+    except OSError as error:
+        return _fail(error, 1)
+    except KeyboardInterrupt:
+        return _fail("stopped by Ctrl-C; what was saved before can be resumed", 130)
+
+
+def anneal(arguments: dict[str, Any]) -> int:
+    """Anneal a tissue into a folder, or take up a run there."""
+    folder, force, resume = (arguments.pop(name) for name in ("out", "force", "resume"))
+    if resume:
+        settings = saved_settings(folder, arguments)
+        _use_x64(settings.x64)
+        backbones = arguments.get("backbones")
+        return resume_annealing(folder, settings, Path(backbones) if backbones else None)
+    settings = Settings(**arguments)
+    if settings.final_temperature is not None and not settings.temperature > 0:
+        raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
+    _use_x64(settings.x64)
+    return run_annealing(folder, settings, force)
+
+
+def measure(arguments: dict[str, Any]) -> int:
+    """Measure the cells of given backbones."""
+    folder = arguments["out"]
+    io.check_folder(folder, arguments["force"])
+    tube, backbones = _read(arguments)
+    model = tube_model(tube, len(backbones.positions), arguments["modulus"], arguments["tension"])
+    begun = time.perf_counter()
+    resolution = resolution_named(arguments["resolution"])
+    columns, summary = tabulate_cells(backbones.positions, model, resolution, backbones.names)
+    summary["seconds"] = time.perf_counter() - begun
+    io.make_folder(folder)
+    io.write_table(folder / "cells.csv", columns)
+    io.write_json(folder / "summary.json", summary)
+    for name, value in summary.items():
+        print(f"{name:20}{value:.6g}")
+    return 0
+
+
+def compare(arguments: dict[str, Any]) -> int:
+    """Show the errors of each preset against the exact path."""
+    folder, samples = arguments["out"], arguments["samples"]
+    if folder:
+        io.check_folder(folder, arguments["force"])
+    tube, backbones = _read(arguments)
+    errors, exact_seconds = compare_presets(backbones.positions, tube, samples)
+    print("  ".join(f"{name:>10}" for name in errors))
+    for preset, *figures in zip(*errors.values(), strict=True):
+        print("  ".join([f"{preset:>10}", *(f"{figure:10.2e}" for figure in figures)]))
+    print(f"relative to the mean cell of the exact path ({samples} samples, {exact_seconds:.3g} s)")
+    if folder:
+        io.make_folder(folder)
+        io.write_table(folder / "compare.csv", errors)
+        rows = [dict(zip(errors, row, strict=True)) for row in zip(*errors.values(), strict=True)]
+        summary = {"samples": samples, "exact_seconds": exact_seconds, "presets": rows}
+        io.write_json(folder / "compare.json", summary | provenance())
+    return 0
+
+
+def info(arguments: dict[str, Any]) -> int:
+    """Show versions, devices, precision and the optional packages found."""
+    _use_x64(arguments["x64"])
+    for name, version in versions().items():
+        print(f"{name:12}{version}")
+    print(f"{'devices':12}{', '.join(map(str, jax.devices()))}")
+    print(f"{'x64':12}{'on' if jnp.result_type(float) == jnp.float64 else 'off'}")
+    print(f"{'extras':12}{', '.join(name for name in EXTRAS if find_spec(name)) or 'none'}")
+    return 0
+
+
+def _read(arguments: dict[str, Any]) -> tuple[Tube, io.BackboneTable]:
+    tube = Tube(*(arguments[name] for name in TUBE_SIZES))
+    _use_x64(arguments["x64"])
+    return tube, io.read_backbones(arguments["file"], tube)
+
+
+def _use_x64(x64: bool) -> None:
+    if x64:
+        jax.config.update("jax_enable_x64", True)
+
+
+def _fail(message: object, code: int) -> int:
+    print("jaxtissue: error:", " ".join(str(message).split()), file=sys.stderr)
+    return code

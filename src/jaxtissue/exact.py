@@ -1,0 +1,300 @@
+"""The yardstick: cells of sampled backbones from Qhull, clipped exactly to the tube (host, float64).
+
+Each backbone is sampled at equally spaced points, both ends included. The Voronoi facets between samples of
+different backbones tile the walls of the cells; they are clipped in closed form. Slow and accurate: for tests
+and for checking the fast measures, not for dynamics.
+
+A facet with unit normal n = (n_x, n_r m), m a unit vector across the axis, has the coordinates
+u = p . (axis x m) and v = n_r x - n_x w, with w = p . m. On it x and w depend on v alone, so a cylinder and
+the end planes confine u to [-h, h], h = sqrt(R^2 - w^2), and v to an interval. An integral over the clipped
+facet is then a sum over its edges, int int g du dv = sum of int (int g du from 0 to clamp(u, -h, h)) dv, well
+conditioned for every normal.
+"""
+
+from itertools import chain
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from numpy.typing import ArrayLike
+from scipy.spatial import KDTree, Voronoi
+
+from jaxtissue.tube import Tube
+
+_Fields = TypeVar("_Fields", "_Planes", "_Edges")
+
+
+class ExactDiagram(NamedTuple):
+    """Cells of a tube and the walls between them (pairs sorted, a < b), in the unit of the tube's lengths."""
+
+    volume: Float64[np.ndarray, " n"]
+    lateral_area: Float64[np.ndarray, " n"]
+    pairs: Int64[np.ndarray, "m 2"]
+    wall_area: Float64[np.ndarray, " m"]
+
+
+class _Backbones(NamedTuple):
+    axial: Float64[np.ndarray, " n"]  # from the middle of the tube
+    direction: Float64[np.ndarray, "n 2"]
+    apical: float
+    basal: float
+
+
+class _Planes(NamedTuple):
+    tilt: Float64[np.ndarray, "2 f"]  # n_x and n_r of the unit normal n
+    across: Float64[np.ndarray, "2 f"]  # m
+    offset: Float64[np.ndarray, " f"]  # n . p for every p in the plane
+
+
+class _Edges(NamedTuple):
+    """Directed segments by the coordinates of their two ends, see the top of the file."""
+
+    u: Float64[np.ndarray, "2 e"]
+    v: Float64[np.ndarray, "2 e"]
+    w: Float64[np.ndarray, "2 e"]
+    x: Float64[np.ndarray, "2 e"]
+
+
+class _Facets(NamedTuple):
+    """Voronoi facets between cells a < b, n pointing from a to b; a ghost has the number of cells."""
+
+    cells: Int64[np.ndarray, "2 f"]
+    planes: _Planes
+    first: Int64[np.ndarray, " f"]  # the facet's first edge
+    facet: Int64[np.ndarray, " e"]  # the edge's facet
+    edges: _Edges  # counterclockwise around n
+
+
+class _Clip(NamedTuple):
+    """The solid cylinder r < radius, |x| < half."""
+
+    radius: float
+    half: float
+
+
+def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDiagram:
+    """Volumes, lateral areas and walls of the cells of backbones at (axial, angle) `positions`, [n, 2].
+
+    V_a = int x n_x dA over the walls of a + L (area of its patch at x = L), by the divergence theorem. The
+    area of a wall is the flux through its facets of N = (q_b - q_a) / |q_b - q_a|, q the feet on the two
+    backbones: the facets zigzag around the wall and are larger. Only walls between cells count. Angles in
+    radians. The volumes add up to the tube's for every number of samples, errors fall with its square.
+
+    Raises `ValueError` for positions that are not finite or outside the tube, backbones that coincide and
+    fewer than two samples. Paper: Definition 3, sections 3.1 and 4.1.
+    """
+    if samples < 2:
+        raise ValueError(f"samples = {samples}: a backbone needs its two ends, give samples >= 2")
+    half, apical, basal = float(tube.length) / 2, float(tube.apical_radius), float(tube.basal_radius)
+    backbones = _backbones(positions, half, apical, basal)
+    facets = _dual_facets(backbones, half, samples)
+    inner, outer = _Clip(apical, half), _Clip(basal, half)
+    moments = _facet_moments(facets, outer) - _facet_moments(facets, inner)
+    patches = _end_patches(facets, outer) - _end_patches(facets, inner)
+    n_x, n_r = facets.planes.tilt
+    gain = n_x * ((half + n_x * facets.planes.offset) * moments[0] + n_r * moments[1]) + 2 * half * patches
+    n, (a, b) = len(backbones.axial), facets.cells
+    volume = (np.bincount(a, gain, n + 1) - np.bincount(b, gain, n + 1))[:n]
+
+    # facets of the size of roundoff are no walls
+    real = np.flatnonzero((b < n) & (moments[0] > 1e-14 * basal**2))
+    keys, wall = np.unique(a[real] * n + b[real], return_inverse=True)
+    pairs = np.stack(np.divmod(keys, n), axis=1)
+    wall_area, lateral_area = np.zeros(len(keys)), np.zeros(n)
+    moments, planes = moments[:, real], _take(facets.planes, real)
+    np.add.at(wall_area, wall, moments[0] * _cosine(planes, facets.cells[:, real], moments, backbones))
+    np.add.at(lateral_area, pairs, wall_area[:, None])
+    return ExactDiagram(volume, lateral_area, pairs, wall_area)
+
+
+def _backbones(positions: ArrayLike, half: float, apical: float, basal: float) -> _Backbones:
+    positions = np.asarray(positions, dtype=np.float64)
+    if positions.ndim != 2 or positions.shape[1] != 2 or not len(positions):
+        raise ValueError(f"positions of shape {positions.shape}: give (axial, angle) rows, [n, 2], n >= 1")
+    axial, angle = positions.T
+    for i in np.flatnonzero(~np.isfinite(angle) | ~(np.abs(axial - half) <= half)):
+        raise ValueError(f"backbone {i} at {positions[i]}: give 0 <= axial <= {2 * half}, a finite angle")
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    ends = np.concatenate([axial[:, None], apical * direction], axis=1)
+    closest = 1e-9 * max(half, basal)  # below, Qhull merges them
+    for i, j in sorted(KDTree(ends).query_pairs(closest)):
+        raise ValueError(f"backbones {i} and {j} coincide (closer than {closest:.1e}): move one of them")
+    return _Backbones(axial - half, direction, apical, basal)
+
+
+def _dual_facets(backbones: _Backbones, half: float, samples: int) -> _Facets:
+    """Voronoi facets between samples of different backbones, and between samples and far ghosts."""
+    axial, direction, apical, basal = backbones
+    points = np.empty((len(axial), samples, 3))
+    points[..., 0] = axial[:, None]
+    points[..., 1:] = np.linspace(apical, basal, samples)[:, None] * direction[:, None]
+    # two diameters away: ghosts bound every cell but own no point of the tissue
+    ghosts = 4 * np.hypot(half, basal) * np.concatenate([np.eye(3), -np.eye(3)])
+    sites = np.concatenate([points.reshape(-1, 3), ghosts])
+    diagram = Voronoi(sites)
+    owner = np.minimum(np.arange(len(sites)) // samples, len(axial))
+    cells = owner[diagram.ridge_points]
+    chosen = np.flatnonzero(cells[:, 0] != cells[:, 1])
+    order = np.argsort(cells[chosen], axis=1)
+    planes = _bisectors(*sites[np.take_along_axis(diagram.ridge_points[chosen], order, axis=1).T])
+
+    rings = [diagram.ridge_vertices[i] for i in chosen]
+    size = np.fromiter(map(len, rings), np.int64, len(rings))
+    corners = diagram.vertices[np.fromiter(chain.from_iterable(rings), np.int64, size.sum())]
+    first, facet = np.cumsum(size) - size, np.repeat(np.arange(len(size)), size)
+    edges = _ring_edges(corners, first, facet, planes)
+    return _Facets(np.sort(cells[chosen].T, axis=0), planes, first, facet, edges)
+
+
+def _bisectors(start: Float64[np.ndarray, "f 3"], stop: Float64[np.ndarray, "f 3"]) -> _Planes:
+    normal = (stop - start) / np.linalg.norm(stop - start, axis=1, keepdims=True)
+    n_x, n_y, n_z = normal.T
+    n_r = np.hypot(n_y, n_z)
+    # any m does where the plane is square to the axis
+    across = np.where(n_r > 0, [n_y, n_z], [[1], [0]]) / np.where(n_r > 0, n_r, 1)
+    return _Planes(np.stack([n_x, n_r]), across, np.sum(normal * (start + stop), axis=1) / 2)
+
+
+def _ring_edges(corners: np.ndarray, first: np.ndarray, facet: np.ndarray, planes: _Planes) -> _Edges:
+    """Edges of each facet, counterclockwise, from its corners in cyclic order."""
+    (n_x, n_r), (m_y, m_z), offset = _take(planes, facet)
+    x, y, z = corners.T
+    u = m_y * z - m_z * y
+    v = n_r * x - n_x * (m_y * y + m_z * z)
+    tail, head = np.arange(len(corners)), np.arange(1, len(corners) + 1)
+    head[np.append(first[1:], len(corners)) - 1] = first
+    clockwise = np.add.reduceat(u * v[head] - u[head] * v, first)[facet] < 0
+    ends = np.where(clockwise, [head, tail], [tail, head])
+    u, v = u[ends], v[ends]
+    # x and w from the plane, not from Qhull's corner: exactly linear in v
+    return _Edges(u, v, n_r * offset - n_x * v, n_x * offset + n_r * v)
+
+
+def _facet_moments(facets: _Facets, clip: _Clip) -> Float64[np.ndarray, "6 f"]:
+    """int (1, v, u, v^2, u v, u^2) dA over each clipped facet."""
+    _, _, first, facet, ((u, _), _, (w, _), (x, _)) = facets
+    low, high = np.minimum.reduceat(x, first), np.maximum.reduceat(x, first)
+    farthest = np.maximum.reduceat(u * u + w * w, first)
+    # no corner reaches the disc in the direction of their mean: neither does the facet
+    mean = np.stack([np.add.reduceat(u, first), np.add.reduceat(w, first)])
+    mean = (mean / np.maximum(np.hypot(*mean), 1e-300))[:, facet]
+    nearest = np.minimum.reduceat(u * mean[0] + w * mean[1], first)
+    within = (low >= -clip.half) & (high <= clip.half) & (farthest <= clip.radius**2)
+    crossed = (low < clip.half) & (high > -clip.half) & (nearest < clip.radius) & ~within
+
+    whole, part = np.flatnonzero(within[facet]), np.flatnonzero(crossed[facet])
+    lines, crossing = _take(facets.edges, whole), _take(facets.edges, part)
+    swept = np.append(_straight_moments(lines), _clipped_moments(crossing, clip), axis=1)
+    return np.stack([np.bincount(facet[np.append(whole, part)], row, len(first)) for row in swept])
+
+
+def _end_patches(facets: _Facets, clip: _Clip) -> Float64[np.ndarray, " f"]:
+    """What each facet adds to the area of a's patch of the disc at x = L (and takes from b's)."""
+    tail, head = facets.edges.x > clip.half
+    # a ring crosses the plane upwards as often as downwards
+    crossing = np.stack([np.flatnonzero(head & ~tail), np.flatnonzero(tail & ~head)])
+    edges, facet = _take(facets.edges, crossing), facets.facet[crossing[0]]
+    u, _, w, _ = _at(edges, (clip.half - edges.x[0]) / (edges.x[1] - edges.x[0]))
+    u, w = np.where(u[0] < u[1], [u, w], [u[::-1], w[::-1]])
+    m_y, m_z = facets.planes.across[:, facet]
+    y, z = m_y * w - m_z * u, m_z * w + m_y * u
+    swept = _clipped_moments(_Edges(y, z, z, np.zeros_like(z)), clip)
+    return np.bincount(facet, swept[0], len(facets.first))
+
+
+def _take(data: _Fields, chosen: np.ndarray) -> _Fields:
+    """The chosen facets or edges (the last axis of every field)."""
+    return type(data)(*(field[..., chosen] for field in data))
+
+
+def _at(edges: _Edges, share: np.ndarray) -> _Edges:
+    """Points at the given shares of the way along the edges."""
+    return _Edges(*(ends[0] + share * (ends[1] - ends[0]) for ends in edges))
+
+
+def _clipped_moments(edges: _Edges, clip: _Clip) -> Float64[np.ndarray, "6 e"]:
+    """The moments swept by edges, u clamped to the disc and v cut at the end planes."""
+    cuts = _cuts(edges, clip)
+    start, stop = cuts[:-1], cuts[1:]
+    u, _, w, x = _at(edges, (start + stop) / 2)
+    inside = (stop > start) & (np.abs(x) < clip.half) & (np.abs(w) < clip.radius)
+    straight = inside & (u * u + w * w <= clip.radius**2)
+
+    def pieces(kind: Bool[np.ndarray, "7 e"]) -> tuple[np.ndarray, _Edges]:
+        edge = np.nonzero(kind)[1]
+        return edge, _at(_take(edges, edge), np.stack([start[kind], stop[kind]]))
+
+    (line, lines), (arc, arcs) = pieces(straight), pieces(inside & ~straight)
+    swept = np.append(_straight_moments(lines), _arc_moments(arcs, clip.radius), axis=1)
+    return np.stack([np.bincount(np.append(line, arc), row, cuts.shape[1]) for row in swept])
+
+
+def _cuts(edges: _Edges, clip: _Clip) -> Float64[np.ndarray, "8 e"]:
+    """Shares, sorted from 0 to 1, where an edge meets the end planes, the cylinder, or |w| = radius."""
+    (u, _), _, (w, _), (x, _) = edges
+    du, _, dw, dx = (ends[1] - ends[0] for ends in edges)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        square = du * du + dw * dw
+        middle = -(u * du + w * dw) / square
+        chord = np.sqrt(np.maximum(clip.radius**2 - (u * dw - w * du) ** 2 / square, 0) / square)
+        planes = [(s * clip.half - x) / dx for s in (-1, 1)] + [(s * clip.radius - w) / dw for s in (-1, 1)]
+    cuts = np.stack([np.zeros_like(u), np.ones_like(u), middle - chord, middle + chord, *planes])
+    return np.sort(np.clip(np.nan_to_num(cuts), 0, 1), axis=0)
+
+
+def _powers(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """int (1, v, u, v^2, u v, u^2) du from 0 to u."""
+    return np.stack([u, u * v, u * u / 2, u * v * v, u * u * v / 2, u * u * u / 3])
+
+
+def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss-Legendre nodes and weights on [0, 1], as columns."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return (nodes[:, None] + 1) / 2, weights[:, None] / 2
+
+
+def _straight_moments(edges: _Edges) -> Float64[np.ndarray, "6 e"]:
+    """Moments swept by whole edges; the integrand is cubic along the edge, so two Gauss nodes are exact."""
+    first, second = (_powers(*_at(edges, node)[:2]) for node in _gauss(2)[0])
+    return (first + second) * (edges.v[1] - edges.v[0]) / 2
+
+
+def _arc_moments(edges: _Edges, radius: float) -> Float64[np.ndarray, "6 e"]:
+    """Moments swept by edges clamped to u = +-h(v), with Gauss nodes in the angle f of w = radius sin f."""
+    nodes, weights = _gauss(12)  # roundoff for every arc: they are below 180 degrees
+    start, stop = np.arcsin(np.clip(edges.w / radius, -1, 1))
+    half = (stop - start) / 2
+    angle = start + 2 * nodes * half
+    # (sin f - sin f_0) / (sin f_1 - sin f_0) and its derivative, also where w is constant
+    scale = np.cos((start + stop) / 2) * np.sinc(half / np.pi)
+    share = nodes * np.cos((angle + start) / 2) * np.sinc(nodes * half / np.pi) / scale
+    weights = weights * np.cos(angle) / scale * (edges.v[1] - edges.v[0])
+    u = np.sign(edges.u.sum(axis=0)) * radius * np.cos(angle)
+    return np.sum(weights * _powers(u, _at(edges, share).v), axis=1)
+
+
+def _cosine(planes: _Planes, cells: np.ndarray, moments: np.ndarray, backbones: _Backbones) -> np.ndarray:
+    """Mean of n . N over each facet (N the normal of the true wall), from four points with its moments.
+
+    One standard deviation from its center each way: Gauss-Legendre nodes on a strip, as most facets are.
+    """
+    (n_x, n_r), across, offset = planes
+    v, u, vv, uv, uu = moments[1:] / moments[0]
+    spread_u = np.sqrt(np.maximum(uu - u * u, 0))
+    lean = np.divide(uv - u * v, spread_u, out=np.zeros_like(u), where=spread_u > 0)
+    spread_v = np.sqrt(np.maximum(vv - v * v - lean * lean, 0))
+    total = np.zeros_like(u)
+    for i, j in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+        point_u, point_v = u + i * spread_u, v + i * lean + j * spread_v
+        point = point_u * np.stack([-across[1], across[0]]) + (n_r * offset - n_x * point_v) * across
+        foot_a, foot_b = (_foot(backbones, cell, point) for cell in cells)
+        gap_x, gap = np.diff(backbones.axial[cells], axis=0)[0], foot_b - foot_a
+        slope = n_x * gap_x + n_r * np.sum(across * gap, axis=0)
+        total += slope / np.sqrt(gap_x**2 + np.sum(gap * gap, axis=0))
+    return total / 4
+
+
+def _foot(backbones: _Backbones, cell: np.ndarray, point: np.ndarray) -> Float64[np.ndarray, "2 f"]:
+    """The nearest points of backbones, seen along the axis."""
+    direction = backbones.direction[cell].T
+    return np.clip(np.sum(direction * point, axis=0), backbones.apical, backbones.basal) * direction

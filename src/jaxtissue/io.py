@@ -1,0 +1,240 @@
+"""Files: backbones and tables as CSV, summaries as JSON, checkpoints as npz. Floats read back exactly."""
+
+import csv
+import json
+import math
+import os
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike, Float, Int
+from scipy.spatial import KDTree
+
+from jaxtissue.anneal import AnnealState, SweepRecord
+from jaxtissue.tube import Tube
+
+
+class BackboneTable(NamedTuple):
+    """Backbones as read: (axial, angle) in float64, angles in [0, 2 pi), and their names if they have any."""
+
+    positions: Float[np.ndarray, "n 2"]
+    names: tuple[str, ...] | None
+
+
+class Checkpoint(NamedTuple):
+    """What a run needs to go on, and the positions it keeps for its figures."""
+
+    state: AnnealState
+    kept_sweeps: Int[np.ndarray, "kept"]
+    kept_positions: Float[np.ndarray, "kept n 2"]
+
+
+def check_folder(folder: Path, force: bool) -> None:
+    """Raise `ValueError` where a folder exists (unless forced) or can't be written; nothing is touched."""
+    try:
+        if folder.exists() and not (force and folder.is_dir()):
+            remedy = "choose another or add --force" if folder.is_dir() else "choose another"
+            raise ValueError(f"the output folder {folder} exists; {remedy}")
+        nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+        writable = nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK)
+    except OSError:
+        writable = False
+    if not writable:
+        raise ValueError(f"the output folder {folder} can't be written; choose another")
+
+
+def make_folder(folder: Path, outdated: Sequence[str] = ()) -> None:
+    """Make a folder, or remove the `outdated` files of one that exists."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in outdated:
+            (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        message = f"the output folder {folder} can't be written ({error.strerror}); choose another"
+        raise ValueError(message) from error
+
+
+def read_backbones(path: Path, tube: Tube) -> BackboneTable:
+    """The backbones of a CSV file with the columns `axial`, `angle` (radians) and perhaps `cell` (a name).
+
+    Angles are wrapped, other columns left aside. Raises `ValueError`, naming file, line, value and fix, for a
+    file that is empty or not UTF-8, a missing column, no cells, coordinates that are not finite or outside
+    the tube, names that are empty or repeated, and backbones that are one in the precision JAX works in.
+    """
+    columns, rows = _read_rows(path)
+    for name in ("axial", "angle"):
+        if name not in columns:
+            found = ",".join(columns)[:60]
+            raise ValueError(f"{path} has no column {name!r} but {found!r}; begin it with axial,angle")
+    if not rows:
+        raise ValueError(f"{path} has no cells; give one line axial,angle per backbone")
+    lines, length = [line for line, _ in rows], float(tube.length)
+    axial, angle = ([_number(path, line, row, name) for line, row in rows] for name in ("axial", "angle"))
+    for line, value in zip(lines, axial, strict=True):
+        if not 0 <= value <= length:
+            raise ValueError(f"{path} line {line}: axial={value} is outside the tube; give 0 to {length}")
+    positions = np.stack([axial, angle], axis=-1)
+    positions[:, 1] = np.mod(positions[:, 1], 2 * math.pi) % (2 * math.pi)
+    _refuse_twins(path, lines, positions, length)
+    return BackboneTable(positions, _read_names(path, rows) if "cell" in columns else None)
+
+
+def _read_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str | None]]]]:
+    """Names of the columns, and each row with the number of its line."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            columns = reader.fieldnames = [name.strip() for name in reader.fieldnames or []]
+            rows = [(reader.line_num, row) for row in reader]
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is not UTF-8 text (byte {error.start}); save it as CSV in UTF-8") from error
+    except csv.Error as error:
+        raise ValueError(f"{path} is not a CSV file ({error}); begin it with axial,angle") from error
+    except OSError as error:
+        raise ValueError(f"{path} can't be read ({error.strerror}); give a CSV file of backbones") from error
+    if not columns:
+        raise ValueError(f"{path} is empty; begin it with axial,angle and give one line per backbone")
+    return list(columns), rows
+
+
+def _number(path: Path, line: int, row: dict[str, str | None], name: str) -> float:
+    try:
+        value = float(row[name] or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{path} line {line}: {name}={row[name] or ''!r} is not a finite number; correct it")
+    return value
+
+
+def _refuse_twins(path: Path, lines: list[int], positions: Float[np.ndarray, "n 2"], length: float) -> None:
+    rounded = positions.astype(jnp.result_type(float))
+    axial, angle = rounded.astype(float).T
+    # A full turn more or less changes an angle by roundoff.
+    close = 8 * np.finfo(rounded.dtype).eps
+    ring = np.stack([axial / length, np.cos(angle), np.sin(angle)], axis=-1)
+    twins = sorted((i, j) for i, j in KDTree(ring).query_pairs(close) if axial[i] == axial[j])
+    if twins:
+        first, second = twins[0]
+        place = f"axial={positions[first, 0]}, angle={positions[first, 1]}"
+        single = " (or use --x64 if they differ beyond 7 digits)" if rounded.dtype == np.float32 else ""
+        found = f"lines {lines[first]} and {lines[second]} are the same backbone, {place}"
+        raise ValueError(f"{path} {found}; remove one{single}")
+
+
+def _read_names(path: Path, rows: list[tuple[int, dict[str, str | None]]]) -> tuple[str, ...]:
+    seen: dict[str, int] = {}
+    for line, row in rows:
+        name = (row["cell"] or "").strip()
+        if not name:
+            raise ValueError(f"{path} line {line}: cell is empty; name the cell or leave the column out")
+        if name in seen:
+            raise ValueError(f"{path} line {line}: cell={name!r} is also on line {seen[name]}; rename one")
+        seen[name] = line
+    return tuple(seen)
+
+
+def write_backbones(
+    path: Path, positions: Float[ArrayLike, "n 2"], names: Sequence[str] | None = None
+) -> None:
+    """Write (axial, angle) positions, and names as `cell`, as `read_backbones` reads them."""
+    axial, angle = np.asarray(positions).T
+    write_table(path, {"axial": axial, "angle": angle} | ({"cell": np.array(names)} if names else {}))
+
+
+def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns of equal length as CSV, floats with all their digits."""
+    with replacing(path, "w") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True))
+
+
+def write_sweep(file: IO[str], record: SweepRecord) -> None:
+    """Add the row of a sweep to an open table of sweeps; sweep 0 brings the header."""
+    writer = csv.writer(file, lineterminator="\n")
+    if record.sweep == 0:
+        writer.writerow(record._fields)
+    writer.writerow([np.asarray(value).item() for value in record])
+    file.flush()
+
+
+def read_sweeps(path: Path) -> dict[str, Float[np.ndarray, "rows"]]:
+    """The columns of a table of sweeps, by name."""
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    return dict(zip(header, np.array(rows, float).reshape(-1, len(header)).T, strict=True))
+
+
+def cut_sweeps(path: Path, last: int) -> None:
+    """Remove the rows after sweep `last`. Raises `ValueError` for a table that does not reach it."""
+    try:
+        with path.open("r+b") as file:
+            line = b""
+            for _ in range(last + 2):
+                line = file.readline()
+            if not (line.startswith(b"%d," % last) and line.endswith(b"\n")):
+                raise ValueError(f"{path} has no row for sweep {last}; start again with --force")
+            file.truncate(file.tell())
+    except OSError as error:
+        raise ValueError(f"{path} can't be read ({error.strerror}); start again with --force") from error
+
+
+def write_json(path: Path, values: Mapping[str, Any]) -> None:
+    """Write values as JSON; what is infinite or not a number becomes null."""
+    with replacing(path, "w") as file:
+        json.dump(_plain(values), file, indent=2, allow_nan=False, ensure_ascii=False)
+        file.write("\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    if isinstance(value, str | None):
+        return value
+    number = np.asarray(value).item()
+    return None if isinstance(number, float) and not math.isfinite(number) else number
+
+
+def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
+    """Write a checkpoint so that at any moment `path` holds a whole one, the old or the new."""
+    kept = checkpoint._asdict()
+    with replacing(path, "wb") as file:
+        np.savez(file, allow_pickle=False, **kept.pop("state")._asdict(), **kept)
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """The checkpoint of a file. Raises `ValueError` where there is none or it is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            data = dict(file)
+        counts = {name: tuple(data.pop(name).tolist()) for name in ("circle", "half")}
+        kept = data.pop("kept_sweeps"), data.pop("kept_positions")
+        return Checkpoint(AnnealState(**counts, **data | {"sweep": int(data["sweep"])}), *kept)
+    except FileNotFoundError as error:
+        raise ValueError(f"{path.parent} has no checkpoint to resume; leave --resume out") from error
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is damaged ({error}); start again with --force") from error
+
+
+@contextmanager
+def replacing(path: Path, mode: str) -> Iterator[IO[Any]]:
+    """Open ("w" or "wb") a file that takes the place of `path` when it is complete and on the disk."""
+    temporary = path.with_name(f".{path.name}.part")
+    encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
+    try:
+        with temporary.open(mode, encoding=encoding, newline=newline) as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise

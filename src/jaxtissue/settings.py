@@ -1,0 +1,120 @@
+"""The arguments of an annealing run, as they are given, kept in its folder and held to when it is resumed."""
+
+import importlib.metadata
+import json
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxtissue.anneal import Annealer, constant_schedule, geometric_schedule
+from jaxtissue.energy import tube_model
+from jaxtissue.lines import resolution_named
+from jaxtissue.tube import Tube
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The arguments of a run; the paper's values (section 4.3) are the defaults.
+
+    `backbones` is a CSV file to start from, else `cells` random ones are made from `seed`. A
+    `final_temperature` makes the cooling geometric. The run ends early when the energy has not fallen
+    for `patience` sweeps (0: never).
+    """
+
+    length: float = 100.0
+    apical_radius: float = 1.0
+    basal_radius: float = 10.0
+    backbones: str | None = None
+    cells: int = 500
+    seed: int = 0
+    sweeps: int = 100
+    temperature: float = 2.0
+    final_temperature: float | None = None
+    modulus: float = 1.0
+    tension: float = 0.4
+    algorithm: str = "is-mh"
+    resolution: str = "draft"
+    patience: int = 0
+    x64: bool = False
+
+    @property
+    def tube(self) -> Tube:
+        """The tube. Raises `ValueError` for sizes that make none."""
+        return Tube(self.length, self.apical_radius, self.basal_radius)
+
+    def temperatures(self, cooling_sweeps: int) -> Float[np.ndarray, "sweeps"]:
+        """Temperature of each sweep: constant, or falling over the first `cooling_sweeps` and then held."""
+        if self.final_temperature is None:
+            return np.asarray(constant_schedule(self.temperature, self.sweeps))
+        cooling = np.asarray(geometric_schedule(self.temperature, self.final_temperature, cooling_sweeps))
+        held = np.asarray(constant_schedule(self.final_temperature, self.sweeps - cooling_sweeps))
+        return np.concatenate([cooling, held])
+
+    def annealer(self, cooling_sweeps: int) -> Annealer:
+        """What advances the run. Raises `ValueError` for settings that make none."""
+        model = tube_model(self.tube, self.cells, self.modulus, self.tension)
+        temperatures = self.temperatures(cooling_sweeps)
+        return Annealer(model, resolution_named(self.resolution), self.algorithm, self.seed, temperatures)
+
+
+def saved_settings(folder: Path, given: Mapping[str, Any]) -> Settings:
+    """The settings of the run in `folder`; of the `given` ones only `sweeps` may differ, and only grow.
+
+    Raises `ValueError` for a folder without a checkpoint and for any other change, naming it.
+    """
+    if not (folder / "checkpoint.npz").is_file():
+        raise ValueError(f"{folder} has no checkpoint to resume; leave --resume out to begin there")
+    try:
+        arguments = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["arguments"]
+        saved = Settings(**arguments)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        message = f"{folder / 'manifest.json'} is damaged ({error}); start again with --force"
+        raise ValueError(message) from error
+    if given.get("backbones") and not saved.backbones:
+        raise ValueError("--backbones is new: the run to resume began with random cells; leave it out")
+    for name, value in given.items():
+        before = getattr(saved, name)
+        if name == "sweeps" and value < before:
+            raise ValueError(f"--sweeps {value} is below the {before} of the run to resume; it may only grow")
+        if name not in ("sweeps", "backbones") and value != before:
+            option = "--" + name.replace("_", "-")
+            raise ValueError(f"{option} {value} differs from {before} of the run to resume; leave it out")
+    return replace(saved, sweeps=given.get("sweeps", saved.sweeps))
+
+
+def versions() -> dict[str, str]:
+    """The versions of Python and of the packages that results depend on."""
+    packages = ("jaxtissue", "jax", "jaxlib", "numpy", "scipy")
+    return {"python": platform.python_version()} | {name: version_of(name) or "unknown" for name in packages}
+
+
+def version_of(package: str) -> str | None:
+    """The version of an installed package, None where it is not installed."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def provenance() -> dict[str, Any]:
+    """When and with what something is computed."""
+    return {
+        "started": now(),
+        "versions": versions(),
+        "platform": platform.platform(),
+        "device": str(jax.devices()[0]),
+        "dtype": str(jnp.result_type(float)),
+    }
+
+
+def now() -> str:
+    """The time, in UTC, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

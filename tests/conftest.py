@@ -1,0 +1,61 @@
+"""The reference tubes and the two precisions, for all tests."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import settings
+
+from jaxtissue.tube import Tube
+
+DATA = Path(__file__).parent / "data"
+REFERENCES = sorted(path.stem for path in DATA.glob("*.npz"))
+
+settings.register_profile("jaxtissue", deadline=None, derandomize=True, database=None, max_examples=30)
+settings.load_profile("jaxtissue")
+
+
+@dataclass(frozen=True)
+class Reference:
+    """One reference tube: the tissue, its (axial, angle) positions in float64, and the measured arrays."""
+
+    name: str
+    tube: Tube
+    positions: np.ndarray
+    data: dict[str, np.ndarray]
+
+
+def read_reference(name: str) -> Reference:
+    with np.load(DATA / f"{name}.npz") as file:
+        data = dict(file)
+    tube = Tube(data["L"], data["Ra"], data["Rb"])
+    return Reference(name, tube, np.stack([data["x"], data["theta"]], axis=-1), data)
+
+
+@pytest.fixture
+def load_reference():
+    """A function from the name of a reference tube to that `Reference`."""
+    return read_reference
+
+
+@pytest.fixture(params=REFERENCES)
+def reference(request) -> Reference:
+    """Each of the eight reference tubes in turn."""
+    return read_reference(request.param)
+
+
+@pytest.fixture
+def x64():
+    """64-bit arrays within one test."""
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture(params=[jnp.float32, jnp.float64], ids=["float32", "float64"])
+def dtype(request):
+    """Both precisions in turn, with 64-bit arrays switched on for the second."""
+    with jax.enable_x64(request.param == jnp.float64):
+        yield request.param

@@ -1,0 +1,355 @@
+"""The command line as a user meets it: files and figures it leaves, resuming, and one line for bad input."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+import jaxtissue
+from jaxtissue import io
+from jaxtissue.anneal import Annealer
+from jaxtissue.cli import main
+
+SIZES = ("--length", "12", "--apical-radius", "2", "--basal-radius", "4")
+SMALL = ("anneal", *SIZES, "--cells", "16", "--seed", "3")
+LONG = (*SMALL, "--sweeps", "200")
+GOOD = "axial,angle\n1,0\n5,2\n9,4\n"
+
+
+@pytest.fixture(autouse=True)
+def restore_precision():
+    """What --x64 switches on ends with the test."""
+    before = jax.config.read("jax_enable_x64")
+    yield
+    jax.config.update("jax_enable_x64", before)
+
+
+def start(*arguments):
+    """The command in a process of its own, with its output as text."""
+    path = os.pathsep.join([str(Path(jaxtissue.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    return subprocess.Popen(
+        [sys.executable, "-m", "jaxtissue", *map(str, arguments)],
+        env=os.environ | {"PYTHONPATH": path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def read_table(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def without_seconds(path):
+    return [{name: text for name, text in row.items() if name != "seconds"} for row in read_table(path)]
+
+
+def column(rows, name):
+    return np.array([float(row[name]) for row in rows])
+
+
+def count_rows(path):
+    return path.read_bytes().count(b"\n") - 1 if path.exists() else 0
+
+
+@pytest.fixture(scope="module")
+def annealed(tmp_path_factory):
+    """The folder of an uninterrupted run of `LONG`."""
+    folder = tmp_path_factory.mktemp("runs") / "whole"
+    assert main([*LONG, "--out", str(folder)]) == 0
+    return folder
+
+
+def test_anneal_leaves_tables_figures_and_a_manifest(annealed):
+    assert {path.name for path in annealed.iterdir()} == {
+        *("manifest.json", "initial_backbones.csv", "backbones.csv", "cells.csv", "sweeps.csv"),
+        *("checkpoint.npz", "energy.png", "volumes.png", "surfaces.png"),
+    }
+    sweeps, cells = read_table(annealed / "sweeps.csv"), read_table(annealed / "cells.csv")
+    assert column(sweeps, "sweep").tolist() == list(range(201))
+    needed = "sweep,energy,volume_energy,area_energy,temperature,acceptance,rounds,collisions,seconds"
+    assert ",".join(sweeps[0]).startswith(needed)
+    assert [float(sweeps[0][name]) for name in ("rounds", "collisions", "seconds")] == [0, 0, 0]
+    terms = column(sweeps, "volume_energy") + column(sweeps, "area_energy")
+    np.testing.assert_allclose(column(sweeps, "energy"), terms, rtol=1e-5)
+    assert column(sweeps, "energy")[-1] < column(sweeps, "energy")[0]
+    # Summed in another order, and in 32 bits.
+    assert column(cells, "energy").sum() == pytest.approx(column(sweeps, "energy")[-1], rel=1e-4)
+    final = io.read_backbones(annealed / "backbones.csv", jaxtissue.tube.Tube(12, 2, 4)).positions
+    np.testing.assert_array_equal(final, np.stack([column(cells, "axial"), column(cells, "angle")], axis=-1))
+
+
+def test_the_manifest_tells_how_the_run_was_made(annealed):
+    manifest = json.loads((annealed / "manifest.json").read_text())
+    arguments = manifest["arguments"]
+    assert (arguments["length"], arguments["cells"], arguments["seed"], arguments["sweeps"]) == (
+        12,
+        16,
+        3,
+        400,
+    )
+    assert (
+        arguments["temperature"] == 2 and arguments["tension"] == 0.4 and arguments["resolution"] == "draft"
+    )
+    assert manifest["versions"].keys() >= {"jaxtissue", "jax", "jaxlib", "numpy", "scipy", "python"}
+    assert manifest["dtype"] == "float32" and manifest["device"] and manifest["platform"]
+    assert manifest["started"] <= manifest["finished"] and manifest["compile_seconds"] > 0
+    assert manifest["energy"]["final_fine"] < manifest["energy"]["initial_fine"]
+
+
+def test_a_finished_run_is_left_as_it_is(annealed, capsys):
+    before = {path: path.read_bytes() for path in annealed.iterdir()}
+    assert main(["anneal", "--out", str(annealed), "--resume"]) == 0
+    assert main([*LONG, "--out", str(annealed), "--resume"]) == 0
+    assert {path: path.read_bytes() for path in annealed.iterdir()} == before
+    assert "finished" in capsys.readouterr().err
+
+
+CHANGES = [
+    ("--seed", "4"),
+    ("--temperature", "1"),
+    ("--resolution", "fine"),
+    ("--algorithm", "mh"),
+    ("--basal-radius", "5"),
+    ("--cells", "17"),
+    ("--x64",),
+    ("--sweeps", "199"),
+    ("--final-temperature", "1"),
+]
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=" ".join)
+def test_a_changed_argument_is_refused(annealed, change, capsys):
+    before = {path: path.read_bytes() for path in annealed.iterdir()}
+    assert main(["anneal", "--out", str(annealed), "--resume", *change]) == 2
+    error = capsys.readouterr().err
+    assert " ".join(change) in error and error.count("\n") == 1
+    assert {path: path.read_bytes() for path in annealed.iterdir()} == before
+
+
+def same_run(folder, whole):
+    """Whether two runs left the same, to the last byte but for the seconds."""
+    names = ("initial_backbones.csv", "backbones.csv", "cells.csv", "volumes.png", "surfaces.png")
+    assert without_seconds(folder / "sweeps.csv") == without_seconds(whole / "sweeps.csv")
+    return all((folder / name).read_bytes() == (whole / name).read_bytes() for name in names)
+
+
+def test_a_killed_run_resumes_to_the_bit(annealed, tmp_path):
+    folder = tmp_path / "killed"
+    with start(*LONG, "--out", folder) as run:
+        ends = time.monotonic() + 60
+        while count_rows(folder / "sweeps.csv") < 5:
+            assert run.poll() is None and time.monotonic() < ends, "it ended before it could be killed"
+            time.sleep(0.002)
+        run.kill()
+        assert run.wait() == -signal.SIGKILL
+    with (folder / "sweeps.csv").open("a") as file:
+        file.write("9999,torn")
+    assert main(["anneal", "--out", str(folder), "--resume"]) == 0
+    assert same_run(folder, annealed)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_sweep_saves_and_leaves(annealed, tmp_path, monkeypatch, capsys, number):
+    folder, advance = tmp_path / "stopped", Annealer.advance
+
+    def interrupted(annealer, state):
+        if state.sweep == 30:
+            signal.raise_signal(number)
+        return advance(annealer, state)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Annealer, "advance", interrupted)
+        assert main([*LONG, "--out", str(folder)]) == 128 + number
+    error = capsys.readouterr().err
+    assert f"stopped by {number.name} after sweep 31 of 200" in error and "--resume" in error
+    assert (
+        io.load_checkpoint(folder / "checkpoint.npz").state.sweep
+        == 31
+        == count_rows(folder / "sweeps.csv") - 1
+    )
+    assert not list(folder.glob(".*")) and not (folder / "backbones.csv").exists()
+    assert main(["anneal", "--out", str(folder), "--resume"]) == 0
+    assert same_run(folder, annealed)
+    assert len(json.loads((folder / "manifest.json").read_text())["resumed"]) == 1
+
+
+def test_sweeps_may_grow(tmp_path):
+    folder = tmp_path / "run"
+    assert main([*SMALL, "--final-temperature", "0.5", "--sweeps", "4", "--out", str(folder)]) == 0
+    before = without_seconds(folder / "sweeps.csv")
+    assert main(["anneal", "--sweeps", "7", "--out", str(folder), "--resume"]) == 0
+    after = without_seconds(folder / "sweeps.csv")
+    assert len(after) == 8 and after[:5] == before
+    assert column(after, "temperature")[4:] == pytest.approx(0.5)
+
+
+def test_a_users_backbones_are_annealed_under_their_names(annealed, tmp_path):
+    path, folder = tmp_path / "mine.csv", tmp_path / "run"
+    table = read_table(annealed / "backbones.csv")
+    axial, angle = column(table, "axial"), column(table, "angle") - 4
+    names = [f"cell {k}" for k in range(16, 0, -1)]
+    io.write_backbones(path, np.stack([axial, angle], axis=-1), names)
+    run = ["anneal", *SIZES, "--backbones", str(path), "--out", str(folder)]
+    assert main([*run, "--sweeps", "2"]) == 0
+    cells, initial = read_table(folder / "cells.csv"), read_table(folder / "initial_backbones.csv")
+    assert [row["cell"] for row in cells] == [str(k) for k in range(16)] and [
+        row["name"] for row in cells
+    ] == names
+    assert [row["cell"] for row in read_table(folder / "backbones.csv")] == names
+    assert column(initial, "axial").tolist() == axial.tolist()
+    np.testing.assert_allclose(column(initial, "angle"), angle % (2 * np.pi), atol=1e-12)
+    assert main([*run, "--resume"]) == 0  # the same file is no change
+    io.write_backbones(path, np.stack([axial, angle + 0.1], axis=-1), names)
+    assert main([*run, "--resume"]) == 2
+
+
+def write_reference(reference, path):
+    io.write_backbones(path, reference.positions)
+    sizes = {"L": "--length", "Ra": "--apical-radius", "Rb": "--basal-radius"}
+    return [
+        str(path),
+        *(text for name, option in sizes.items() for text in (option, repr(float(reference.data[name])))),
+    ]
+
+
+def test_measure_meets_the_reference(load_reference, tmp_path, capsys):
+    reference = load_reference("ratio10_n100")
+    data = reference.data
+    assert (
+        main(["measure", *write_reference(reference, tmp_path / "b.csv"), "--out", str(tmp_path / "m")]) == 0
+    )
+    rows, summary = (
+        read_table(tmp_path / "m" / "cells.csv"),
+        json.loads((tmp_path / "m" / "summary.json").read_text()),
+    )
+    assert ",".join(rows[0]) == (
+        "cell,axial,angle,volume,lateral_area,apical_area,basal_area,apical_perimeter,basal_perimeter,energy,is_end"
+    )
+    # The bars of the standard preset, rms / mean.
+    bars = {"volume": ("V", 0.003), "lateral_area": ("lateral", 0.015), "apical_area": ("apical_area", 0.005)}
+    bars |= {"basal_area": ("basal_area", 0.005), "apical_perimeter": ("apical_perim", 0.01)}
+    bars |= {"basal_perimeter": ("basal_perim", 0.01)}
+    for name, (key, bar) in bars.items():
+        error = column(rows, name) - data[key]
+        assert np.sqrt((error**2).mean()) <= bar * data[key].mean(), name
+    np.testing.assert_array_equal(column(rows, "axial"), reference.positions[:, 0])
+    assert list(summary) == [
+        *("total_volume", "total_lateral_area", "energy"),
+        *("separation", "covering_radius", "tightness", "overflow", "seconds"),
+    ]
+    assert summary["total_lateral_area"] == pytest.approx(data["lateral"].sum(), rel=0.005)
+    assert summary["energy"] == pytest.approx(data["E"], rel=0.01)
+    assert summary["separation"] == pytest.approx(data["min_dist"], rel=1e-4)  # 32 bits
+    assert summary["covering_radius"] == pytest.approx(data["phi"], rel=0.01)
+    assert set(capsys.readouterr().out.split()) >= set(summary)
+
+
+def test_cells_at_the_ends_are_marked(tmp_path):
+    path = tmp_path / "b.csv"
+    rings = [(x, t + x) for x in (1, 4, 8, 11) for t in (0.0, 1.5, 3.0, 4.5)]
+    io.write_backbones(path, np.array(rings))
+    assert main(["measure", str(path), *SIZES, "--resolution", "draft", "--out", str(tmp_path / "m")]) == 0
+    ends = [row["is_end"] for row in read_table(tmp_path / "m" / "cells.csv")]
+    assert ends == 4 * ["True"] + 8 * ["False"] + 4 * ["True"]
+
+
+def test_a_single_cell_has_no_separation_and_no_walls(tmp_path):
+    (tmp_path / "b.csv").write_text("axial,angle\n5,1\n")
+    run = ["measure", str(tmp_path / "b.csv"), *SIZES, "--resolution", "draft"]
+    assert main([*run, "--x64", "--out", str(tmp_path / "m")]) == 0
+    summary = json.loads((tmp_path / "m" / "summary.json").read_text())
+    assert summary["separation"] is None and summary["total_lateral_area"] == 0
+    assert summary["total_volume"] == pytest.approx(np.pi * 12 * 12, rel=1e-6)
+
+
+def test_compare_shows_finer_presets_to_be_better(annealed, tmp_path, capsys):
+    run = ["compare", str(annealed / "initial_backbones.csv"), *SIZES, "--samples", "40"]
+    assert main([*run, "--out", str(tmp_path / "c")]) == 0
+    rows = read_table(tmp_path / "c" / "compare.csv")
+    assert [row["preset"] for row in rows] == ["draft", "standard", "fine"]
+    assert (np.diff(column(rows, "volume_rms")) < 0).all() and (column(rows, "volume_rms") > 0).all()
+    assert (column(rows, "volume_max") >= column(rows, "volume_rms")).all()
+    assert (column(rows, "seconds") > 0).all()
+    summary = json.loads((tmp_path / "c" / "compare.json").read_text())
+    assert summary["samples"] == 40 and summary["exact_seconds"] > 0
+    area_rms = [row["area_rms"] for row in summary["presets"]]
+    assert area_rms == column(rows, "area_rms").tolist()
+    assert "volume_rms" in capsys.readouterr().out
+
+
+def test_info_names_versions_and_devices(capsys):
+    assert main(["info", "--x64"]) == 0
+    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert lines["jax"] == jax.__version__ and lines["x64"] == "on"
+    assert lines["devices"] and lines["extras"]
+
+
+BAD_ARGUMENTS = [
+    ("anneal --out {}/o --temperature -1", "--temperature: -1"),
+    ("anneal --out {}/o --temperature nan", "--temperature: nan"),
+    ("anneal --out {}/o --modulus -0.5", "--modulus: -0.5"),
+    ("anneal --out {}/o --tension inf", "--tension: inf"),
+    ("anneal --out {}/o --sweeps -3", "--sweeps: -3"),
+    ("anneal --out {}/o --sweeps 1.5", "--sweeps: invalid integer value: '1.5'"),
+    ("anneal --out {}/o --cells 0", "--cells: 0"),
+    ("anneal --out {}/o --seed -1", "--seed: -1"),
+    ("anneal --out {}/o --length 0", "--length: 0"),
+    ("anneal --out {}/o --length nan", "--length: nan"),
+    ("anneal --out {}/o --apical-radius 10", "apical_radius=10.0"),
+    ("anneal --out {}/o --resolution sharp", "'sharp'"),
+    ("anneal --out {}/o --algorithm gibbs", "'gibbs'"),
+    ("anneal --out {}/o --final-temperature 0", "--final-temperature: 0"),
+    ("anneal --out {}/o --temperature 0 --final-temperature 1", "--temperature above 0"),
+    ("anneal --out {}/o --backbones {}/good.csv --cells 3", "--cells"),
+    ("anneal --out {}/o --backbones {}/absent.csv", "absent.csv can't be read"),
+    ("anneal --out {}/o --backbones {}/twins.csv", "lines 2 and 3"),
+    ("anneal --out {}/o --resume", "no checkpoint"),
+    ("anneal --out {}", "exists"),
+    ("anneal --out {}/good.csv --force", "good.csv exists"),
+    ("anneal --out {}/good.csv/o", "can't be written"),
+    ("anneal", "--out"),
+    ("anneal --out {}/o --speed 3", "--speed"),
+    ("", "COMMAND"),
+    ("melt", "'melt'"),
+    ("measure {}/good.csv --length 12 --apical-radius 2 --out {}/o", "--basal-radius"),
+    ("measure {}/good.csv --length 12 --apical-radius 5 --basal-radius 4 --out {}/o", "apical_radius=5.0"),
+    ("measure {}/good.csv --length 3 --apical-radius 2 --basal-radius 4 --out {}/o", "axial=5.0"),
+    ("measure {}/latin.csv --length 12 --apical-radius 2 --basal-radius 4 --out {}/o", "not UTF-8"),
+    ("measure {} --length 12 --apical-radius 2 --basal-radius 4 --out {}/o", "can't be read"),
+    ("measure {}/good.csv --length 12 --apical-radius 2 --basal-radius 4 --out {}", "exists"),
+    ("compare {}/good.csv --length 12 --apical-radius 2 --basal-radius 4 --samples 1", "--samples: 1"),
+]
+
+
+@pytest.mark.parametrize(("line", "named"), BAD_ARGUMENTS, ids=[line for line, _ in BAD_ARGUMENTS])
+def test_bad_input_gets_one_line_and_nothing_is_written(line, named, tmp_path, capsys):
+    (tmp_path / "good.csv").write_text(GOOD)
+    (tmp_path / "twins.csv").write_text("axial,angle\n1,2\n1,2\n")
+    (tmp_path / "latin.csv").write_bytes("axial,angle,cell\n1,2,é\n".encode("latin-1"))
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    assert main(line.replace("{}", str(tmp_path)).split()) == 2
+    streams = capsys.readouterr()
+    assert named in streams.err and streams.err.count("\n") == 1 and streams.out == ""
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_force_removes_only_what_a_run_writes(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "notes.txt").write_text("mine")
+    (folder / "checkpoint.npz").write_text("old")
+    assert main([*SMALL, "--sweeps", "1", "--out", str(folder)]) == 2
+    assert (folder / "checkpoint.npz").read_text() == "old"
+    assert main([*SMALL, "--sweeps", "1", "--out", str(folder), "--force"]) == 0
+    assert (folder / "notes.txt").read_text() == "mine"
+    assert io.load_checkpoint(folder / "checkpoint.npz").state.sweep == 1

@@ -1,0 +1,192 @@
+"""Files: what is written reads back exactly, what can't be read is refused in one clear line."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from jaxtissue.anneal import AnnealState, SweepRecord
+
+from jaxtissue import io
+from jaxtissue.tube import Tube
+
+TUBE = Tube(100, 1, 10)
+
+
+@pytest.fixture
+def table(tmp_path):
+    """A function that writes text or bytes to a file and returns its path."""
+
+    def write(content):
+        path = tmp_path / "backbones.csv"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("named", [False, True])
+def test_backbones_read_back_exactly(tmp_path, dtype, named):
+    share = np.random.default_rng(1).random((50, 2))
+    positions = (share * [100, 2 * math.pi]).astype(dtype)
+    names = tuple(f"a, b\n{k} é" for k in range(50)) if named else None
+    io.write_backbones(tmp_path / "b.csv", positions, names)
+    read = io.read_backbones(tmp_path / "b.csv", TUBE)
+    assert read.positions.tolist() == positions.astype(float).tolist()
+    assert read.names == names
+
+
+def test_any_angle_is_wrapped(table):
+    read = io.read_backbones(table("axial,angle\n0,-1\n50,7\n100,-1e-20\n"), TUBE)
+    assert read.positions[:, 1].tolist() == [2 * math.pi - 1, 7 - 2 * math.pi, 0.0]
+
+
+def test_headers_of_spreadsheets_are_understood(table):
+    text = "\ufeffcell, angle , note, axial\r\nx, 1.5, hello, 2.5\r\n\r\n"
+    positions, names = io.read_backbones(table(text), TUBE)
+    assert positions.tolist() == [[2.5, 1.5]] and names == ("x",)
+
+
+BAD_FILES = {
+    "": "is empty",
+    "\n\n": "is empty",
+    "axial,angle\n": "has no cells",
+    "axial,theta\n1,2\n": "no column 'angle'",
+    "1.0,2.0\n": "no column 'axial'",
+    "axial,angle\n1,2\n3,nan\n": "line 3: angle='nan'",
+    "axial,angle\ninf,2\n": "line 2: axial='inf'",
+    "axial,angle\n1,two\n": "line 2: angle='two'",
+    "axial,angle\n1,2\n\n1\n": "line 4: angle=''",
+    "axial,angle\n-0.5,2\n": "line 2: axial=-0.5 is outside the tube; give 0 to 100.0",
+    "axial,angle\n100.5,2\n": "axial=100.5",
+    "axial,angle\n5,1\n6,1\n5,1\n": "lines 2 and 4 are the same backbone, axial=5.0, angle=1.0",
+    f"axial,angle\n5,1\n5,{1 + 6 * math.pi!r}\n": "lines 2 and 3",
+    f"axial,angle\n5,0\n5,{-1e-9!r}\n": "lines 2 and 3",
+    "axial,angle,cell\n5,1,a\n6,1,\n": "line 3: cell is empty",
+    "axial,angle,cell\n5,1,a\n6,1,a\n": "line 3: cell='a' is also on line 2",
+    b"axial,angle\n\xff,1\n": "not UTF-8",
+}
+
+
+@pytest.mark.parametrize("content", BAD_FILES, ids=repr)
+def test_bad_files_are_refused(table, content):
+    path = table(content)
+    with pytest.raises(ValueError) as refusal:
+        io.read_backbones(path, TUBE)
+    message = str(refusal.value)
+    assert message.startswith(str(path)) and BAD_FILES[content] in message and "\n" not in message
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"nowhere\.csv can't be read"):
+        io.read_backbones(tmp_path / "nowhere.csv", TUBE)
+
+
+def test_backbones_that_only_64_bits_tell_apart(table, request):
+    path = table(f"axial,angle\n5,1\n5,{1 + 1e-12!r}\n")
+    with pytest.raises(ValueError, match="--x64"):
+        io.read_backbones(path, TUBE)
+    request.getfixturevalue("x64")
+    assert len(io.read_backbones(path, TUBE).positions) == 2
+
+
+def test_neighbors_in_axial_position_are_no_twins(table):
+    near = float(np.nextafter(np.float32(5), np.float32(6)))
+    assert len(io.read_backbones(table(f"axial,angle\n5,1\n{near!r},1\n"), TUBE).positions) == 2
+
+
+def test_json_has_no_infinity_and_no_nan(tmp_path):
+    values = {"a": math.inf, "b": [np.float32("nan"), 0.1, np.int64(3)], "c": {"d": True, "e": None}}
+    io.write_json(tmp_path / "s.json", values)
+
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    read = json.loads((tmp_path / "s.json").read_text(), parse_constant=refuse)
+    assert read == {"a": None, "b": [None, 0.1, 3], "c": {"d": True, "e": None}}
+
+
+@pytest.fixture
+def checkpoint():
+    rng = np.random.default_rng(0)
+    positions, neighbors = rng.random((3, 2), np.float32), np.arange(12, dtype=np.int32).reshape(3, 4)
+    state = AnnealState(7, positions, neighbors, (3, 4), (1, 2))
+    return io.Checkpoint(state, np.array([0, 5]), rng.random((2, 3, 2), np.float32))
+
+
+def test_checkpoints_read_back_exactly(tmp_path, checkpoint):
+    path = tmp_path / "checkpoint.npz"
+    io.save_checkpoint(path, checkpoint)
+    read = io.load_checkpoint(path)
+    assert [type(part) for part in read.state] == [type(part) for part in checkpoint.state]
+    for new, old in zip((*read.state, *read[1:]), (*checkpoint.state, *checkpoint[1:]), strict=True):
+        np.testing.assert_array_equal(new, old, strict=True)
+
+
+def test_a_broken_write_leaves_the_old_checkpoint(tmp_path, checkpoint, monkeypatch):
+    path = tmp_path / "checkpoint.npz"
+    io.save_checkpoint(path, checkpoint)
+    whole = path.read_bytes()
+
+    def die(file, **arrays):
+        file.write(b"half")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(np, "savez", die)
+    with pytest.raises(OSError, match="disk full"):
+        io.save_checkpoint(path, checkpoint)
+    assert path.read_bytes() == whole and [p.name for p in tmp_path.iterdir()] == ["checkpoint.npz"]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_damaged_checkpoints_are_refused(tmp_path, checkpoint, share):
+    path = tmp_path / "checkpoint.npz"
+    io.save_checkpoint(path, checkpoint)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(ValueError, match="damaged"):
+        io.load_checkpoint(path)
+
+
+def write_records(path, count):
+    numbers = np.random.default_rng(2).random(count)
+    with path.open("w", newline="") as file:
+        for sweep, number in enumerate(numbers):
+            values = dict.fromkeys(SweepRecord._fields, float(number)) | {"sweep": sweep, "rounds": 3}
+            io.write_sweep(file, SweepRecord(**values))
+    return numbers
+
+
+def test_sweeps_read_back_exactly(tmp_path):
+    numbers = write_records(tmp_path / "sweeps.csv", 4)
+    read = io.read_sweeps(tmp_path / "sweeps.csv")
+    assert read["sweep"].tolist() == [0, 1, 2, 3] and read["energy"].tolist() == numbers.tolist()
+    needed = "sweep,energy,volume_energy,area_energy,temperature,acceptance,rounds,collisions,seconds"
+    assert ",".join(read).startswith(needed)
+
+
+def test_rows_after_the_checkpoint_are_cut(tmp_path):
+    path, short = tmp_path / "sweeps.csv", tmp_path / "short.csv"
+    write_records(path, 6)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-5])  # a torn last row
+    io.cut_sweeps(path, 3)
+    short.write_bytes(b"".join(whole.splitlines(keepends=True)[:5]))
+    assert path.read_bytes() == short.read_bytes()
+    with pytest.raises(ValueError, match="no row for sweep 4"):
+        io.cut_sweeps(path, 4)
+    assert path.read_bytes() == short.read_bytes()
+
+
+def test_folders_are_refused_before_anything_is_written(tmp_path):
+    (tmp_path / "file").touch()
+    for folder, force, problem in [
+        (tmp_path, False, "add --force"),
+        (tmp_path / "file", True, "exists"),
+        (tmp_path / "file" / "inside", True, "can't be written"),
+    ]:
+        with pytest.raises(ValueError, match=problem):
+            io.check_folder(folder, force)
+    io.check_folder(tmp_path / "new" / "newer", False)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
