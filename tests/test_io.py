@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from jaxtissue.anneal import AnnealState, SweepRecord
 
 from jaxtissue import io
+from jaxtissue.anneal import AnnealState, SweepRecord
 from jaxtissue.tube import Tube
 
 TUBE = Tube(100, 1, 10)

@@ -7,20 +7,11 @@ import pytest
 
 import jaxtissue
 
-ORDER = [
-    "backbones",
-    "tube",
-    "sampling",
-    "lines",
-    "voronoi",
-    "spread",
-    "cells",
-    "exact",
-    "energy",
-    "coloring",
-]
-ORDER += ["metropolis", "anneal", "io", "plot", "cli"]
-PEOPLE = {"io", "plot", "cli"}  # they may use the package as a user would, by `import jaxtissue`
+ORDER = """
+    backbones tube sampling lines voronoi spread cells candidates exact energy coloring metropolis anneal
+    io plot settings tables runs arguments cli
+""".split()
+PEOPLE = {"io", "plot", "settings", "tables", "runs", "arguments", "cli"}  # may `import jaxtissue` as users do
 EXTRAS = {"tifffile", "skimage", "pyevtk", "pandas", "pyvista", "trimesh"}
 MODULES = sorted(p for p in Path(jaxtissue.__file__).parent.glob("*.py") if not p.stem.startswith("__"))
 

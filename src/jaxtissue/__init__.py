@@ -1,0 +1,81 @@
+"""jaxtissue: simulate and measure 3D epithelial tubes from their cells' backbones.
+
+>>> import jax, jaxtissue as jt
+>>> tube = jt.Tube(length=20, apical_radius=1, basal_radius=10)
+>>> positions = tube.random_positions(jax.random.key(0), 100)
+>>> cells, defect = jt.measure_tissue(positions, tube)
+>>> bool(abs(cells.volume.sum() / tube.volume - 1) < 1e-3)
+True
+"""
+
+from jaxtissue.anneal import (
+    Annealer,
+    AnnealState,
+    SweepRecord,
+    constant_schedule,
+    geometric_schedule,
+    has_stalled,
+)
+from jaxtissue.backbones import Backbones, distance_between_segments, distance_to_segment
+from jaxtissue.candidates import find_candidates, measure_tissue, sided, tiling_defect
+from jaxtissue.cells import CellGeometry, measure_cells
+from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
+from jaxtissue.exact import ExactDiagram, exact_cells
+from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines, resolution_named
+from jaxtissue.metropolis import SweepInfo, TissueState, sweep, tissue_state
+from jaxtissue.sampling import cartesian_voxels, cylindrical_voxels
+from jaxtissue.spread import (
+    covering_radius,
+    neighbor_bound,
+    separation,
+    tightness,
+    tube_neighbor_bound,
+)
+from jaxtissue.tube import Tube, cells_for_unit_volume
+from jaxtissue.voronoi import label_image, label_volumes, nearest_backbones
+
+__all__ = [
+    "PRESETS",
+    "AnnealState",
+    "Annealer",
+    "Backbones",
+    "CellGeometry",
+    "ExactDiagram",
+    "Lines",
+    "Model",
+    "Resolution",
+    "SweepInfo",
+    "SweepRecord",
+    "TissueState",
+    "Tube",
+    "cartesian_voxels",
+    "cells_for_unit_volume",
+    "constant_schedule",
+    "covering_radius",
+    "cylindrical_voxels",
+    "distance_between_segments",
+    "distance_to_segment",
+    "epithelial_energy",
+    "exact_cells",
+    "find_candidates",
+    "geometric_schedule",
+    "has_stalled",
+    "label_image",
+    "label_volumes",
+    "lateral_tension",
+    "measure_cells",
+    "measure_tissue",
+    "nearest_backbones",
+    "neighbor_bound",
+    "plan_lines",
+    "resolution_named",
+    "separation",
+    "sided",
+    "sweep",
+    "tightness",
+    "tiling_defect",
+    "tissue_state",
+    "tube_model",
+    "tube_neighbor_bound",
+    "volume_elasticity",
+]

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import sparse
 
-from jaxtissue.candidates import contact_graph, find_candidates, hop_lists, padded, sided, survey_tissue
+from jaxtissue.candidates import REACH, contact_graph, find_candidates, hop_lists, padded, sided
 from jaxtissue.cells import CellGeometry
 from jaxtissue.coloring import color, distance_conflicts, hop_conflicts
 from jaxtissue.energy import Model, lateral_tension, volume_elasticity
@@ -21,7 +21,6 @@ from jaxtissue.metropolis import (
     TissueState,
     move_bound,
     sweep,
-    tissue_energy,
     tissue_state,
 )
 from jaxtissue.spread import covering_radius
@@ -39,10 +38,11 @@ class Measured(NamedTuple):
     tissue: TissueState
     near: Neighborhoods
     contacts: sparse.csr_array
+    overflow: bool
 
 
 class AnnealState(NamedTuple):
-    """All that a run needs to go on bit by bit: the sweeps done, the backbones, their candidates, the lines."""
+    """All that a run needs to go on to the bit: sweeps done, backbones, their candidates, the lines."""
 
     sweep: int
     positions: Float[np.ndarray, "n 2"]
@@ -77,7 +77,7 @@ def constant_schedule(temperature: float, sweeps: int) -> Float[np.ndarray, "swe
 
 
 def geometric_schedule(first: float, last: float, sweeps: int) -> Float[np.ndarray, "sweeps"]:
-    """Temperatures from `first` to `last` by a constant factor. Raises `ValueError` unless both are positive."""
+    """Temperatures from `first` to `last` by a constant factor; `ValueError` unless both are positive."""
     if not (first > 0 and last > 0):
         raise ValueError(f"temperatures {first} and {last}: a geometric schedule needs both above 0")
     return np.geomspace(first, last, sweeps) if sweeps > 1 else np.full(sweeps, float(first))
@@ -88,12 +88,18 @@ def has_stalled(energies: Sequence[float], patience: int) -> bool:
     return bool(0 < patience < len(energies) and min(energies[-patience:]) >= min(energies[:-patience]))
 
 
+def energy_terms(cells: CellGeometry, model: Model) -> tuple[Array, Array, Array]:
+    """Each cell's energy, and of it the paper's two terms."""
+    return model.cell_energy(cells, model), volume_elasticity(cells, model), lateral_tension(cells, model)
+
+
 class Annealer:
     """Runs a tissue through a schedule of temperatures, one sweep at a time.
 
     `model` is what the energy depends on, `resolution` how finely cells are measured, `algorithm` "is-mh" or
-    "mh", `conflicts` the rule of move independence (2, 3 or 4 hops of contact, or the paper's 8 phi). A run is a
-    function of `seed` and of the state it starts from alone. Raises `ValueError` for what it can't run.
+    "mh", `conflicts` the rule of move independence (2, 3 or 4 hops of contact, or the paper's 8 phi).
+    A run is a function of `seed` and of the state it starts from alone. Raises `ValueError` for what it can't
+    run.
     """
 
     def __init__(
@@ -116,18 +122,22 @@ class Annealer:
         self.model = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), model)
         self.resolution, self.algorithm, self.conflicts = resolution, algorithm, conflicts
         self.seed, self.temperatures = seed, temperatures
+        self._exactness = EXACT * float(jnp.finfo(dtype).eps) * float(self.model.mean_volume)
         self.compile_seconds = 0.0
         self._compiled: dict[Any, Callable] = {}
         self._last: tuple[AnnealState, Measured] | None = None
 
-    def start(self, positions: Float[Array, "n 2"]) -> AnnealState:
+    def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
         """The state before the first sweep."""
         begin = time.perf_counter()
-        tube, positions = self.model.tube, jnp.asarray(positions, self.model.mean_volume.dtype)
-        lists = find_candidates(positions, tube)
-        _, _, lines = survey_tissue(positions, tube, sided(lists, positions, tube), self.resolution)
+        tube, place = self.model.tube, jnp.asarray(positions, jnp.result_type(float))
+        lists = self._fit(find_candidates(place, tube), place)
+        lines = plan_lines(tube, len(place), self.resolution, REACH)
         self.compile_seconds += time.perf_counter() - begin
-        return AnnealState(0, np.asarray(positions), self._fit(lists, positions), lines.circle, lines.half)
+        state = AnnealState(0, np.asarray(place), lists, lines.circle, lines.half)
+        while self._measure(state).overflow:
+            state = self._widen(state)
+        return state
 
     def record(self, state: AnnealState) -> SweepRecord:
         """The row of a state as it is, such as the initial one."""
@@ -152,25 +162,22 @@ class Annealer:
         plan = np.pad(rounds, ((0, capacity - len(rounds)), (0, 0)), constant_values=-1)
         key = jax.random.fold_in(jax.random.key(self.seed), state.sweep)
         temperature = jnp.asarray(self.temperatures[state.sweep], measured.tissue.volume.dtype)
+        order = plan, np.int32(len(rounds))
         tissue, info = self._run(
-            sweep, key, measured.tissue, self.model, temperature, measured.near, plan, np.int32(len(rounds)),
-            lines=self._lines(state),
-        )  # fmt: skip
-        if info.overflow:
-            return self._play(self._widen(state), rounds)
+            sweep, key, measured.tissue, self.model, temperature, measured.near, *order, lines=_lines(state)
+        )
         positions = np.stack([tissue.place.axial, tissue.place.angle], axis=-1)
         after = self._renew(state._replace(positions=positions))
+        if info.overflow or self._measure(after).overflow:
+            return self._play(self._widen(state), rounds)
         fresh = self._measure(after).tissue
-        error = max(float(jnp.abs(a - b).max()) for a, b in zip(fresh[1:3], tissue[1:3], strict=True))
-        if (
-            error > EXACT * float(jnp.finfo(fresh.volume.dtype).eps) * float(self.model.mean_volume)
-            and len(rounds) > 1
-        ):
+        stale = max(np.abs(np.subtract(a, b)).max() for a, b in zip(fresh[1:3], tissue[1:3], strict=True))
+        if stale > self._exactness and len(rounds) > 1:
             half = len(rounds) // 2
             middle, first, drift = self._play(state, rounds[:half])
             after, second, more = self._play(middle, rounds[half:])
             return after, jax.tree.map(lambda a, b: a + b, first, second), max(drift, more)
-        energy, carried = (float(tissue_energy(t, self.model)) for t in (fresh, tissue))
+        energy, carried = (self._energies(cells)[0] for cells in (fresh, tissue))
         return after, jax.device_get(info), abs(energy - carried) / max(abs(energy), abs(carried), 1e-300)
 
     def _renew(self, state: AnnealState) -> AnnealState:
@@ -189,19 +196,18 @@ class Annealer:
 
     def _measure(self, state: AnnealState) -> "Measured":
         """Measure the whole tissue on the state's lists and lines; the last result is kept."""
-        same = self._last and self._last[0]._replace(sweep=state.sweep)
-        if same and all(a is b for a, b in zip(same[1:], state[1:], strict=True)):
+        if self._last and all(a is b for a, b in zip(self._last[0][1:], state[1:], strict=True)):
             return self._last[1]
         lists = state.neighbors
         sides = sided(lists, state.positions, self.model.tube, 2 * float(move_bound(self.model, len(lists))))
         near = Neighborhoods(lists, padded(sides, _side_width(lists.shape[1])))
-        tissue, survey = self._run(tissue_state, state.positions, self.model, near, lines=self._lines(state))
-        contacts = contact_graph(state.positions, self.model.tube, near.sides, survey)
-        self._last = state, Measured(tissue, near, contacts)
+        tissue, survey = self._run(tissue_state, state.positions, self.model, near, lines=_lines(state))
+        contacts = contact_graph(state.positions, self.model.tube, np.asarray(near.sides), survey)
+        self._last = state, Measured(tissue, near, contacts, bool(survey.overflow.any()))
         return self._last[1]
 
     def _fit(
-        self, lists: Int[np.ndarray, "n candidates"], positions: Array
+        self, lists: Int[np.ndarray, "n candidates"], positions: Float[Array | np.ndarray, "n 2"]
     ) -> Int[np.ndarray, "n candidates"]:
         """Candidate lists padded with room to grow, in both their forms: shapes then last for the run."""
         margin = 2 * float(move_bound(self.model, len(lists)))
@@ -223,34 +229,33 @@ class Annealer:
             graph = hop_conflicts(self._measure(state).contacts, int(self.conflicts[0]))
         return color(graph, max(1, round(n / ROUNDS)))
 
-    def _run(self, function: Callable, *arguments: Any, lines: Lines) -> Any:
+    def _run(self, function: Callable, *arguments: Any, **static: Lines) -> Any:
         """Call a jitted function, compiled beforehand so that its compile time is known."""
         arguments = jax.tree.map(jnp.asarray, arguments)
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(arguments))
-        known = (function, lines, shapes)
+        known = (function, *static.values(), shapes)
         if known not in self._compiled:
             begin = time.perf_counter()
-            self._compiled[known] = (
-                jax.jit(function, static_argnames="lines").lower(*arguments, lines=lines).compile()
-            )
+            jitted = jax.jit(function, static_argnames=tuple(static))
+            self._compiled[known] = jitted.lower(*arguments, **static).compile()
             self.compile_seconds += time.perf_counter() - begin
         return jax.block_until_ready(self._compiled[known](*arguments))
 
-    def _lines(self, state: AnnealState) -> Lines:
-        return Lines(state.circle, state.half)
+    def _energies(self, tissue: TissueState) -> list[float]:
+        """The energy, and the paper's two terms of it, each summed in double precision."""
+        cells = CellGeometry(tissue.volume, tissue.lateral_area)
+        return [float(np.sum(term, dtype=float)) for term in self._run(energy_terms, cells, self.model)]
 
     def _row(
         self, number: int, tissue: TissueState, info: SweepInfo | None, seconds: float, drift: float
     ) -> SweepRecord:
-        cells = CellGeometry(tissue.volume, tissue.lateral_area)
-        total = tissue_energy(tissue, self.model)
-        terms = [term(cells, self.model).sum() for term in (volume_elasticity, lateral_tension)]
+        energy, volume_energy, area_energy = self._energies(tissue)
         index = min(max(number - 1, 0), len(self.temperatures) - 1)
         return SweepRecord(
             sweep=number,
-            energy=float(total),
-            volume_energy=float(terms[0]),
-            area_energy=float(terms[1]),
+            energy=energy,
+            volume_energy=volume_energy,
+            area_energy=area_energy,
             temperature=float(self.temperatures[index]) if len(self.temperatures) else 0.0,
             acceptance=int(info.accepted) / len(tissue.volume) if info else 0.0,
             rounds=int(info.rounds) if info else 0,
@@ -259,6 +264,10 @@ class Annealer:
             left_cell=int(info.left_cell) if info else 0,
             drift=drift,
         )
+
+
+def _lines(state: AnnealState) -> Lines:
+    return Lines(state.circle, state.half)
 
 
 def _side_width(width: int) -> int:

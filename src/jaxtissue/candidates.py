@@ -36,7 +36,7 @@ _measure = jax.jit(measure_cells, static_argnames="lines")
 
 
 def measure_tissue(
-    positions: Float[Array, "n 2"], tube: Tube, resolution: Resolution = PRESETS["standard"]
+    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, resolution: Resolution = PRESETS["standard"]
 ) -> tuple[CellGeometry, float]:
     """Sizes of every cell of a tissue, with its surfaces, and the defect of an exact sum over all cells.
 
@@ -50,7 +50,7 @@ def measure_tissue(
 
 
 def survey_tissue(
-    positions: Float[Array, "n 2"],
+    positions: Float[Array | np.ndarray, "n 2"],
     tube: Tube,
     sides: Int[np.ndarray, "n 2 side_candidates"],
     resolution: Resolution,
@@ -65,7 +65,9 @@ def survey_tissue(
     return cells, survey, lines
 
 
-def find_candidates(positions: Float[Array, "n 2"], tube: Tube) -> Int[np.ndarray, "n candidates"]:
+def find_candidates(
+    positions: Float[Array | np.ndarray, "n 2"], tube: Tube
+) -> Int[np.ndarray, "n candidates"]:
     """Complete candidate lists, padded with the cell itself, from the nearest backbones.
 
     As many nearest are taken as it needs for the cells' intervals to tile every line; contacts measured with
@@ -74,18 +76,18 @@ def find_candidates(positions: Float[Array, "n 2"], tube: Tube) -> Int[np.ndarra
     count = 64
     while True:
         everyone = count >= len(positions) - 1
-        lists = nearest(positions, tube, count)
-        sides = sided(lists, positions, tube)
-        if everyone or tiling_defect(positions, tube, jnp.asarray(sides)) < TILES:
+        sides = sided(padded(nearest(positions, tube, count), 1), positions, tube)
+        if everyone or tiling_defect(positions, tube, sides) < TILES:
             _, survey, _ = survey_tissue(positions, tube, sides, PRESETS["draft"], surfaces=True)
             lists = hop_lists(contact_graph(positions, tube, sides, survey), positions, tube)
-            if everyone or tiling_defect(positions, tube, jnp.asarray(sided(lists, positions, tube))) < TILES:
+            found = padded(sided(lists, positions, tube), sides.shape[2])  # the same shape compiles once
+            if everyone or tiling_defect(positions, tube, found) < TILES:
                 return lists
         count *= 2
 
 
 def spacing(place: np.ndarray, first: np.ndarray, second: np.ndarray, tube: Tube) -> np.ndarray:
-    """Distance of backbones in mean cell widths, the least over radii; `first` and `second` number backbones."""
+    """Distance of backbones `first` and `second` in mean cell widths, the least over radii."""
     inner, outer = float(tube.apical_radius), float(tube.basal_radius)
     along, turn = place[first, 0] - place[second, 0], place[first, 1] - place[second, 1]
     score = np.full(along.shape, np.inf)
@@ -96,7 +98,9 @@ def spacing(place: np.ndarray, first: np.ndarray, second: np.ndarray, tube: Tube
     return np.sqrt(score * len(place) / (2 * math.pi * float(tube.length)))
 
 
-def nearest(positions: Float[Array, "n 2"], tube: Tube, count: int) -> Int[np.ndarray, "n count"]:
+def nearest(
+    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, count: int
+) -> Int[np.ndarray, "n count"]:
     """The `count` backbones nearest to each by `spacing`."""
     place, n = np.asarray(positions, float), len(positions)
     count = min(count, n - 1)
@@ -110,7 +114,10 @@ def nearest(positions: Float[Array, "n 2"], tube: Tube, count: int) -> Int[np.nd
 
 
 def contact_graph(
-    positions: Float[Array, "n 2"], tube: Tube, sides: Int[np.ndarray, "n 2 side_candidates"], survey: Survey
+    positions: Float[Array | np.ndarray, "n 2"],
+    tube: Tube,
+    sides: Int[np.ndarray, "n 2 side_candidates"],
+    survey: Survey,
 ) -> sparse.csr_array:
     """Who stops whom, as a symmetric [n, n] matrix, on the lines where the cells were surveyed."""
     by, n = np.asarray(survey.by), len(positions)
@@ -130,7 +137,7 @@ def contact_graph(
 
 def within_hops(graph: sparse.csr_array, hops: int) -> sparse.csr_array:
     """Who is within `hops` contacts of whom, oneself included."""
-    one = (graph + sparse.eye_array(graph.shape[0], dtype=bool)).astype(np.int32).tocsr()
+    one = (graph + sparse.eye_array(len(graph.indptr) - 1, dtype=bool)).astype(np.int32).tocsr()
     reached = one
     for _ in range(hops - 1):
         reached = reached @ one
@@ -139,7 +146,7 @@ def within_hops(graph: sparse.csr_array, hops: int) -> sparse.csr_array:
 
 
 def hop_lists(
-    graph: sparse.csr_array, positions: Float[Array, "n 2"], tube: Tube
+    graph: sparse.csr_array, positions: Float[Array | np.ndarray, "n 2"], tube: Tube
 ) -> Int[np.ndarray, "n candidates"]:
     """Everyone within two contacts of each cell, and within three where `spacing` is below SKIN; padded."""
     two = within_hops(graph, 2)
@@ -147,18 +154,21 @@ def hop_lists(
     three.eliminate_zeros()
     cell, other = three.nonzero()
     near = spacing(np.asarray(positions, float), cell, other, tube) < SKIN
-    rows = np.r_[np.repeat(np.arange(two.shape[0]), np.diff(two.indptr)), cell[near]]
+    rows = np.r_[np.repeat(np.arange(len(two.indptr) - 1), np.diff(two.indptr)), cell[near]]
     columns = np.r_[two.indices, other[near]]
     order = np.lexsort((columns, rows))
     rows, columns = rows[order], columns[order]
-    sizes = np.bincount(rows, minlength=two.shape[0])
+    sizes = np.bincount(rows, minlength=len(two.indptr) - 1)
     lists = np.repeat(np.arange(len(sizes), dtype=np.int32)[:, None], max(sizes.max(), 2), axis=1)
     lists[rows, np.arange(len(rows)) - np.repeat(np.cumsum(sizes) - sizes, sizes)] = columns
     return lists
 
 
 def sided(
-    lists: Int[np.ndarray, "n candidates"], positions: Float[Array, "n 2"], tube: Tube, margin: float = 0.0
+    lists: Int[np.ndarray, "n candidates"],
+    positions: Float[Array | np.ndarray, "n 2"],
+    tube: Tube,
+    margin: float = 0.0,
 ) -> Int[np.ndarray, "n 2 side_candidates"]:
     """Candidates split into those behind and those ahead along the axis; within `margin`, both."""
     axial, own = np.asarray(positions, float)[:, 0], np.arange(len(lists), dtype=np.int32)[:, None]
@@ -167,9 +177,8 @@ def sided(
     sides = [np.where(sign * gap >= -margin, lists, own) for sign in (-1, 1)]
     width = max(1, *(int((side != own).sum(axis=1).max(initial=0)) for side in sides))
     front = [np.argsort(side == own, axis=1, kind="stable")[:, :width] for side in sides]
-    return np.stack(
-        [np.take_along_axis(side, at, axis=1) for side, at in zip(sides, front, strict=True)], axis=1
-    )
+    packed = [np.take_along_axis(side, at, axis=1) for side, at in zip(sides, front, strict=True)]
+    return padded(np.stack(packed, axis=1), -(-width // 16) * 16)  # few shapes, so few compilations
 
 
 def padded(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.ndarray, "n ... width"]:
@@ -181,7 +190,7 @@ def padded(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.nda
 
 @jax.jit
 def tiling_defect(
-    positions: Float[Array, "n 2"], tube: Tube, sides: Int[Array, "n 2 candidates"]
+    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, sides: Int[Array | np.ndarray, "n 2 candidates"]
 ) -> Float[Array, ""]:
     """Largest relative error of the cells' lengths summed along a line, |sum_i (hi_i - lo_i)+ - L| / L.
 

@@ -27,7 +27,7 @@ BLOCK = 128  # cells measured at once: what fits the processor's cache
 
 
 class CellGeometry(eqx.Module):
-    """Sizes of each cell; surface areas and cell-cell perimeters only where the lines include the surfaces."""
+    """Sizes of each cell; those on the two surfaces only where the lines include the surfaces."""
 
     volume: Float[Array, "cells"]
     lateral_area: Float[Array, "cells"]
@@ -93,10 +93,10 @@ def settled(compute: Callable[[], T], truth: Array) -> T:
     return jax.lax.cond(truth, compute, lambda: empty)
 
 
-def posts(positions: Float[Array, "... 2"]) -> Posts:
+def posts(positions: Float[Array | np.ndarray, "... 2"]) -> Posts:
     """The backbones at (axial, angle) positions."""
     angle = positions[..., 1]
-    return Posts(positions[..., 0], angle, jnp.cos(angle), jnp.sin(angle))
+    return Posts(jnp.asarray(positions[..., 0]), jnp.asarray(angle), jnp.cos(angle), jnp.sin(angle))
 
 
 def see_lines(lines: Lines, tube: Tube, dtype: np.dtype) -> Grid:
@@ -129,7 +129,7 @@ def see_rivals(own: Posts, others: Posts, real: Array, tube: Tube) -> tuple[Riva
 
 
 def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> tuple[Array, Rivals]:
-    """Who stops each cell on each line, behind and ahead (END: the tube does), and that rival, [lines, 2, cells].
+    """Who stops each cell on each line, behind and ahead, and that rival, [lines, 2, cells]; END: the tube.
 
     The candidate's number rides in the lowest bits of its reach, so that one minimum finds both (two outputs
     would each repeat the loop). That blurs the choice, not the reach, by about 1e-5.
@@ -173,8 +173,8 @@ def walls(by: Array, rival: Rivals, ends: Array, grid: Grid, tube: Tube) -> Wall
 
 
 def strips(wall: Walls, ends: Array, limit: Array, lines: Lines) -> tuple[Array, Array, Array, Array]:
-    """Between each line and the next, per cell: layer area / r, wall area per r dr, wall length per r, and the
-    length of radial walls of level rivals."""
+    """Between each line and the next, per cell: layer area / r, wall area per r dr, wall length per r, and
+    the length of radial walls of level rivals."""
     dtype = wall.reach.dtype
     step = jnp.asarray(lines.step, dtype)[:-1, None]
     offset = jnp.asarray(lines.offset, dtype)[:-1, None]
@@ -246,10 +246,10 @@ def measure_cells(
     positions: Float[Array, "n 2"],
     tube: Tube,
     lines: Lines,
-    neighbors: Int[Array, "n 2 candidates"],
+    neighbors: Int[Array | np.ndarray, "n 2 candidates"],
     cells: Int[Array, "cells"] | None = None,
 ) -> tuple[CellGeometry, Survey]:
-    """Measure all cells, or the given ones, against their candidate neighbors behind and ahead along the axis.
+    """Measure all cells, or the given ones, against their candidate neighbors behind and ahead.
 
     Lists are padded with the cell itself. Pure: `jit` it with `lines` static, `vmap` it over replicas;
     positions and the tube's sizes are traced. V_i = integral of the interval's length over r dr dt, A_i =

@@ -1,25 +1,24 @@
 """Independent sets of moves: a conflict graph, and its coloring into rounds (paper, section 3.3)."""
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 from scipy import sparse
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 
 def hop_conflicts(contacts: sparse.csr_array, hops: int) -> sparse.csr_array:
-    """Moves conflict if their cells are within `hops` contacts of each other, [n, n] symmetric, no diagonal."""
+    """Moves conflict if their cells are within `hops` contacts: [n, n], symmetric, no diagonal."""
     one = contacts.astype(np.int32)
     reached = one
     for _ in range(hops - 1):
         reached = reached @ one + one
         reached.data[:] = 1
-    reached = reached.tolil() if reached.nnz == 0 else reached
     return _without_diagonal(sparse.csr_array(reached))
 
 
 def distance_conflicts(apical_places: np.ndarray, distance: float) -> sparse.csr_array:
-    """Moves conflict if their backbones' apical ends, [n, 3], are closer than `distance`: the paper's 8 phi."""
-    pairs = cKDTree(apical_places).query_pairs(distance, output_type="ndarray")
+    """Moves conflict if their apical ends, [n, 3], are closer than `distance`: the paper's 8 phi."""
+    pairs = KDTree(apical_places).query_pairs(distance, output_type="ndarray")
     n = len(apical_places)
     half = sparse.coo_array((np.ones(len(pairs), np.int32), (pairs[:, 0], pairs[:, 1])), shape=(n, n)).tocsr()
     return half + half.T
@@ -38,11 +37,11 @@ def color(conflicts: sparse.csr_array, width: int) -> Int[np.ndarray, "rounds wi
 
     Each cell joins the first round that is not full and holds none of its conflicts.
     """
-    n = conflicts.shape[0]
+    n = len(conflicts.indptr) - 1
     start, others = conflicts.indptr, conflicts.indices
     chosen = np.full(n, -1)
     filled = np.zeros(n + 1, int)
-    closed: Bool[np.ndarray, "rounds"] = np.zeros(n + 1, bool)
+    closed = np.zeros(n + 1, bool)
     for cell in np.argsort(-np.diff(start), kind="stable"):
         taken = chosen[others[start[cell] : start[cell + 1]]]
         barred = closed.copy()

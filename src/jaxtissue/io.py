@@ -215,9 +215,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
     try:
         with np.load(path, allow_pickle=False) as file:
             data = dict(file)
-        counts = {name: tuple(data.pop(name).tolist()) for name in ("circle", "half")}
-        kept = data.pop("kept_sweeps"), data.pop("kept_positions")
-        return Checkpoint(AnnealState(**counts, **data | {"sweep": int(data["sweep"])}), *kept)
+        circle, half = (tuple(data[name].tolist()) for name in ("circle", "half"))
+        state = AnnealState(int(data["sweep"]), data["positions"], data["neighbors"], circle, half)
+        return Checkpoint(state, data["kept_sweeps"], data["kept_positions"])
     except FileNotFoundError as error:
         raise ValueError(f"{path.parent} has no checkpoint to resume; leave --resume out") from error
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:

@@ -1,4 +1,4 @@
-"""Where cells are measured: lines parallel to the axis, in layers of constant radius, seen from each backbone."""
+"""Where cells are measured: lines parallel to the axis, in layers of constant radius."""
 
 import math
 from typing import NamedTuple
@@ -112,8 +112,8 @@ def plan_lines(
 ) -> Lines:
     """The lines for a tube of `cells` cells, within `reach` mean cell widths on either side of a backbone.
 
-    The mean cell width at radius r is sqrt(2 pi r L / n). At least 16 lines run once round every layer; the two
-    surfaces, which carry no volume, have half as many lines again.
+    The mean cell width at radius r is sqrt(2 pi r L / n). At least 16 lines run once round every layer;
+    the two surfaces, which carry no volume, have half as many lines again.
     """
     single = Lines(
         (1,) * (resolution.layers + 2 * surfaces), (1,) * (resolution.layers + 2 * surfaces), surfaces

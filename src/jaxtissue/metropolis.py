@@ -18,7 +18,6 @@ from jaxtissue.cells import (
     Survey,
     measure_cells,
     posts,
-    see_angles,
     see_lines,
     see_rivals,
     survey,
@@ -32,12 +31,12 @@ ITEMS = 64  # changed cells measured at once
 class Neighborhoods(NamedTuple):
     """Who may bound whom, as in `candidates.Candidates`; fixed during a sweep."""
 
-    around: Int[Array, "n candidates"]
-    sides: Int[Array, "n 2 side_candidates"]
+    around: Int[Array | np.ndarray, "n candidates"]
+    sides: Int[Array | np.ndarray, "n 2 side_candidates"]
 
 
 class TissueState(NamedTuple):
-    """The tissue and what is known of its cells: sizes, and the reaches that a move must undercut to matter."""
+    """Backbones and what is known of their cells: sizes, and the reaches a move must undercut to matter."""
 
     place: Posts
     volume: Float[Array, "n"]
@@ -57,11 +56,11 @@ class SweepInfo(NamedTuple):
 
 
 class Changes(NamedTuple):
-    """The cells that a round's moves would change, packed: whose move, which cell, its new sizes and reaches."""
+    """The cells a round's moves would change, packed: whose move, which cell, new sizes and reaches."""
 
     move: Int[Array, "items"]
     cell: Int[Array, "items"]
-    count: Int[Array, ""]
+    total: Int[Array, ""]
     volume: Float[Array, "items"]
     lateral_area: Float[Array, "items"]
     reach: Float[Array, "items lines*2"]
@@ -77,14 +76,9 @@ def tissue_state(
     return TissueState(posts(positions), cells.volume, cells.lateral_area, reach), seen
 
 
-def tissue_energy(state: TissueState, model: Model) -> Float[Array, ""]:
-    """E = sum of the cells' energies."""
-    return model.cell_energy(CellGeometry(state.volume, state.lateral_area), model).sum()
-
-
 def propose(key: PRNGKeyArray, place: Posts, model: Model) -> Posts:
-    """A move for every cell: uniform in an apical disc of radius 0.25 sqrt(A / pi), A the mean apical area per
-    cell (paper, section 4.3), reflected at the ends of the tube. Both ends of the backbone move together."""
+    """A move for every cell: uniform in an apical disc of radius 0.25 sqrt(A / pi), A the mean apical area
+    per cell (paper, section 4.3), reflected at the tube's ends. Both ends of the backbone move together."""
     n, dtype = len(place.axial), place.axial.dtype
     bound = move_bound(model, n)
     share, turn = jax.random.uniform(key, (2, n), dtype)
@@ -214,7 +208,7 @@ def measure_changes(
     near: Neighborhoods,
     rules: tuple[Model, Lines],
 ) -> Changes:
-    """Measure every changed cell as if its one move were made, a block at a time, as many blocks as it takes."""
+    """Measure every changed cell as if its one move were made, in as many blocks as it takes."""
     model, lines = rules
     size = -(-changed.size // ITEMS) * ITEMS
     (item,) = jnp.nonzero(changed.ravel(), size=size, fill_value=0)
@@ -255,14 +249,14 @@ def local_differences(
     """Energy difference of each move: the sum over the cells it changes."""
     new = model.cell_energy(CellGeometry(changes.volume, changes.lateral_area), model)
     old = model.cell_energy(CellGeometry(state.volume[changes.cell], state.lateral_area[changes.cell]), model)
-    real = jnp.arange(len(new)) < changes.count
+    real = jnp.arange(len(new)) < changes.total
     return jax.ops.segment_sum(jnp.where(real, new - old, 0), changes.move, width)
 
 
 def apply(changes: Changes, accept: Array, movers: Array, proposed: Posts, state: TissueState) -> TissueState:
     """The state after the accepted moves."""
     n = len(state.volume)
-    kept = accept[changes.move] & (jnp.arange(len(changes.cell)) < changes.count)
+    kept = accept[changes.move] & (jnp.arange(len(changes.cell)) < changes.total)
     cell, mover = jnp.where(kept, changes.cell, n), jnp.where(accept, movers, n)
     return TissueState(
         jax.tree.map(lambda old, new: old.at[mover].set(new[movers], mode="drop"), state.place, proposed),

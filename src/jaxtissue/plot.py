@@ -57,7 +57,7 @@ def plot_energy(
     if np.asarray(sweeps["energy"]).min() > 0:
         axes.set_yscale("log", nonpositive="mask")
     axes.set(xlabel="sweep", ylabel="energy (tube units)", title="Energy of the tissue")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     axes.grid(which="both", color="0.9")
     axes.legend()
     return figure, axes
@@ -78,7 +78,7 @@ def plot_volumes(
     axes.set(xlabel="cells, from the smallest to the largest", ylabel="cell volume (tube units³)")
     axes.set_title("Volumes of the cells")
     axes.set_ylim(bottom=0)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     axes.grid(color="0.9")
     axes.legend()
     return figure, axes
