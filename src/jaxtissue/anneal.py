@@ -88,6 +88,13 @@ def has_stalled(energies: Sequence[float], patience: int) -> bool:
     return bool(0 < patience < len(energies) and min(energies[-patience:]) >= min(energies[:-patience]))
 
 
+def numbered_sweep(
+    seed: Array, number: Array, *arguments: Any, lines: Lines
+) -> tuple[TissueState, SweepInfo]:
+    """Sweep `number` of the run with this seed: its key is the seed's, folded with the number."""
+    return sweep(jax.random.fold_in(jax.random.key(seed), number), *arguments, lines=lines)
+
+
 def energy_terms(cells: CellGeometry, model: Model) -> tuple[Array, Array, Array]:
     """Each cell's energy, and of it the paper's two terms."""
     return model.cell_energy(cells, model), volume_elasticity(cells, model), lateral_tension(cells, model)
@@ -160,11 +167,17 @@ class Annealer:
         measured = self._measure(state)
         capacity = -(-len(rounds) // CAPACITY) * CAPACITY
         plan = np.pad(rounds, ((0, capacity - len(rounds)), (0, 0)), constant_values=-1)
-        key = jax.random.fold_in(jax.random.key(self.seed), state.sweep)
-        temperature = jnp.asarray(self.temperatures[state.sweep], measured.tissue.volume.dtype)
-        order = plan, np.int32(len(rounds))
+        temperature = np.asarray(self.temperatures[state.sweep], measured.tissue.volume.dtype)
+        draw, order = (np.uint32(self.seed), np.int32(state.sweep)), (plan, np.int32(len(rounds)))
         tissue, info = self._run(
-            sweep, key, measured.tissue, self.model, temperature, measured.near, *order, lines=_lines(state)
+            numbered_sweep,
+            *draw,
+            measured.tissue,
+            self.model,
+            temperature,
+            measured.near,
+            *order,
+            lines=_lines(state),
         )
         positions = np.stack([tissue.place.axial, tissue.place.angle], axis=-1)
         after = self._renew(state._replace(positions=positions))
@@ -203,7 +216,7 @@ class Annealer:
         near = Neighborhoods(lists, padded(sides, _side_width(lists.shape[1])))
         tissue, survey = self._run(tissue_state, state.positions, self.model, near, lines=_lines(state))
         contacts = contact_graph(state.positions, self.model.tube, np.asarray(near.sides), survey)
-        self._last = state, Measured(tissue, near, contacts, bool(survey.overflow.any()))
+        self._last = state, Measured(tissue, near, contacts, bool(np.any(survey.overflow)))
         return self._last[1]
 
     def _fit(

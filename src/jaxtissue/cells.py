@@ -195,6 +195,8 @@ def strips(wall: Walls, ends: Array, limit: Array, lines: Lines) -> tuple[Array,
         return both(jnp.minimum(jnp.where(left, from_left, from_right), ends))
 
     first_bend, last_bend = jnp.minimum(bend[:, 0], bend[:, 1]), jnp.maximum(bend[:, 0], bend[:, 1])
+    # two lines outside the cell can only show a phantom of it: every piece holds its backbone's line
+    live = jnp.where((both(before.reach) > 0) | (both(after.reach) > 0), step, 0)
     cuts = [jnp.clip(cut, low, high) for cut in (0.0, first_bend, last_bend, 1.0)]
     lefts = (jnp.ones_like(bend, bool), bend >= last_bend[:, None], jnp.zeros_like(bend, bool))
     layer_area = wall_area = wall_length = jnp.zeros_like(low)
@@ -202,11 +204,13 @@ def strips(wall: Walls, ends: Array, limit: Array, lines: Lines) -> tuple[Array,
         first, last = width(start[:, None], left), width(end[:, None], left)
         filled = jnp.maximum(first, 0) + jnp.maximum(last, 0)
         spread = jnp.abs(first) + jnp.abs(last)
-        inside = (end - start) * step * filled / jnp.where(spread > 0, spread, 1)
+        inside = (end - start) * live * filled / jnp.where(spread > 0, spread, 1)
         layer_area += inside * filled / 2
         wall_area += inside * both(jnp.where(left, before.area, after.area))
         wall_length += inside * both(jnp.where(left, before.edge, after.edge))
-    radial = jnp.where((low > 0) & (low < high), jnp.maximum(width(low[:, None], low[:, None] < bend), 0), 0)
+    radial = jnp.where(
+        (low > 0) & (low < high) & (live > 0), jnp.maximum(width(low[:, None], low[:, None] < bend), 0), 0
+    )
     radial += jnp.where(
         (high < 1) & (low < high), jnp.maximum(width(high[:, None], high[:, None] < bend), 0), 0
     )
@@ -233,9 +237,10 @@ def survey(
         on = [jnp.asarray(lines.layer[:-1] == lines.inner_layers + k)[:, None] for k in (0, 1)]
         length = wall_length * radius + radial
         surfaces = [jnp.where(at, size, 0).sum(axis=0) for size in (layer_area, length) for at in on]
-    filled = jnp.pad(layer_area > 0, ((1, 1), (0, 0)))
-    bears = (filled[1:] | filled[:-1])[:, None]
-    at_end = bears & (by == END) & (wall.reach.sum(axis=1, keepdims=True) > 0)
+    inside = wall.reach[:, 0] + wall.reach[:, 1] > 0
+    strip = jnp.pad((inside[1:] | inside[:-1]) & (lines.step[:-1, None] > 0), ((1, 1), (0, 0)))
+    bears = (strip[1:] | strip[:-1])[:, None]
+    at_end = (by == END) & inside[:, None]
     volume, lateral_area = ((size * weight).sum(axis=0) for size in (layer_area, wall_area))
     cells = CellGeometry(volume, lateral_area, *surfaces, touches_end=at_end.any(axis=(0, 1)))
     overflow = (bears[:, 0] & jnp.asarray(lines.edge)[:, None]).any(axis=0)
