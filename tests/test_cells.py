@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import REFERENCES
+from conftest import REFERENCES, read_reference
 
 from jaxtissue.candidates import find_candidates, measure_tissue, sided, survey_tissue, tiling_defect
 from jaxtissue.cells import CellGeometry, measure_cells
@@ -19,11 +19,9 @@ SURFACE_BARS = {"apical_area": 0.005, "basal_area": 0.005, "apical_perim": 0.01,
 SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimeter", "basal_perimeter")
 
 
-
-
 @pytest.fixture(scope="module", autouse=True)
 def quick_compile():
-    """Compile without optimization: these tests measure few cells, and compile for half of their time else."""
+    """Compile without optimization: these tests measure few cells, and compiling is most of the time."""
     jax.config.update("jax_disable_most_optimizations", True)
     yield
     jax.config.update("jax_disable_most_optimizations", False)
@@ -75,8 +73,6 @@ def test_presets_hold_their_bars(name: str, preset: str, load_reference) -> None
 @pytest.fixture(scope="module")
 def tissue():
     """A tube of 100 cells, ratio 10, with its sizes."""
-    from conftest import read_reference
-
     tube, positions = (ref := read_reference("ratio10_n100")).tube, ref.positions
     return tube, positions, table(measure_tissue(jnp.asarray(positions, jnp.float32), tube)[0])
 
@@ -88,7 +84,7 @@ ROUNDING = {"rtol": 1e-3, "atol": 1e-3}
 @pytest.mark.parametrize("angle", [0.3, np.pi, -7.0])
 def test_turning_the_tube_changes_nothing(tissue, angle: float) -> None:
     tube, positions, sizes = tissue
-    turned = tube.reflect(jnp.asarray(positions + [0, angle], jnp.float32))
+    turned = tube.reflect(jnp.asarray(positions + np.array([0, angle]), jnp.float32))
     np.testing.assert_allclose(table(measure_tissue(turned, tube)[0]), sizes, **ROUNDING)
 
 
@@ -139,10 +135,11 @@ def test_subsets_and_replicas_measure_as_the_whole_alone() -> None:
         assert float(together[k][0].sum()) == pytest.approx(float(tube.volume), rel=0.005)  # a draft's total
 
 
-@pytest.mark.parametrize("count", [2, 3, 7])
+@pytest.mark.parametrize("count", [2, 4, 5])
 def test_a_ring_of_cells_has_radial_walls(count: int) -> None:
-    angle = 0.2 + 2 * np.pi / count * np.arange(count)
+    angle = 2 * np.pi / count * np.arange(count)
     cells = measure_among_all(jnp.stack([jnp.full(count, 4.0), jnp.asarray(angle)], -1), TUBE, "draft")
+    # some of the walls of 4 lie on lines
     walls, ring = 2 * 10 * (3 - 1), np.pi * 10 / count
     expected = [ring * (9 - 1), walls, ring * 2, ring * 6, 20, 20]
     for name, size in zip(SIZES, expected, strict=True):
@@ -161,37 +158,40 @@ def test_backbones_on_the_end_planes() -> None:
 def test_staggered_rings_of_equal_axial_place() -> None:
     rings, around = 5, 6
     axial = np.repeat(2.0 * np.arange(rings) + 1, around)
-    angle = np.tile(np.arange(around) * np.pi / 3, rings) + np.repeat(np.arange(rings) % 2, around) * np.pi / 6
-    positions = np.stack([axial, angle + 0.1], axis=-1)
+    half_steps = np.tile(2 * np.arange(around), rings) + np.repeat(np.arange(rings) % 2, around)
+    positions = np.stack([axial, 0.1 + half_steps * np.pi / 6], axis=-1)
     cells = measure_among_all(jnp.asarray(positions, jnp.float32), TUBE)
     exact = exact_cells(positions, TUBE, samples=50)
     assert off(cells.volume, exact.volume) < 0.003 and off(cells.lateral_area, exact.lateral_area) < 0.015
     by_ring = np.asarray(cells.volume).reshape(rings, around)
-    np.testing.assert_allclose(by_ring, by_ring[:, :1].repeat(around, 1), rtol=1e-4)  # float32: one orbit each
+    # float32: turned or mirrored onto each other
+    np.testing.assert_allclose(by_ring, by_ring[:, :1].repeat(around, 1), rtol=1e-4)
     np.testing.assert_allclose(by_ring, by_ring[::-1], rtol=1e-4)
 
 
-# The few lines at the lumen see each cell from far round it: not the bar of the reference tubes, but near.
+# Wider bars than the reference tubes': so few cells reach far round the lumen, where the lines are sparse.
 @pytest.mark.parametrize("ratio", [200, 1000])
 def test_cells_that_wrap_round_a_narrow_lumen(ratio: float) -> None:
     tube = Tube(100.0, 10.0 / ratio, 10.0)
     positions = np.asarray(random_positions(60, tube), float)
     cells = measure_among_all(jnp.asarray(positions, jnp.float32), tube)
     exact = exact_cells(positions, tube, samples=50)
-    assert off(cells.volume, exact.volume) < 0.005 and off(cells.lateral_area, exact.lateral_area) < 0.015
+    assert off(cells.volume, exact.volume) < 0.005 and off(cells.lateral_area, exact.lateral_area) < 0.025
 
 
-def test_alarms_ring() -> None:
-    positions = random_positions(40)
-    sides = sided(find_candidates(positions, TUBE), positions, TUBE)
-    exact = exact_cells(positions, TUBE, samples=20)
+def test_alarms_ring(tissue) -> None:
+    tube, positions, _ = tissue
+    exact = exact_cells(positions, tube, samples=20)
+    positions = jnp.asarray(positions, jnp.float32)
+    sides = sided(find_candidates(positions, tube), positions, tube)
     first, second = exact.pairs[np.argmax(exact.wall_area)]
     short = sides.copy()
     short[first][short[first] == second] = first
-    assert tiling_defect(positions, TUBE, jnp.asarray(sides)) < 1e-5
-    assert tiling_defect(positions, TUBE, jnp.asarray(short)) > 0.01  # a wall's worth of length is counted twice
-    lines = plan_lines(TUBE, 40, PRESETS["draft"], reach=0.3)
-    narrow, survey = jax.jit(measure_cells, static_argnums=2)(positions, TUBE, lines, jnp.asarray(sides))
-    whole, _, _ = survey_tissue(positions, TUBE, sides, PRESETS["draft"])
-    lost = np.asarray(narrow.volume < 0.98 * whole.volume)
+    assert tiling_defect(positions, tube, jnp.asarray(sides)) < 1e-5
+    # the length of that wall's shadow is counted twice
+    assert tiling_defect(positions, tube, jnp.asarray(short)) > 0.01
+    lines = plan_lines(tube, len(positions), PRESETS["draft"], reach=0.3)
+    narrow, survey = jax.jit(measure_cells, static_argnums=2)(positions, tube, lines, jnp.asarray(sides))
+    whole, _, _ = survey_tissue(positions, tube, sides, PRESETS["standard"], surfaces=True)
+    lost = np.asarray(narrow.volume < 0.9 * whole.volume)
     assert lost.any() and np.asarray(survey.overflow)[lost].all()

@@ -7,11 +7,19 @@ import pytest
 
 import jaxtissue
 
-ORDER = """
-    backbones tube sampling lines voronoi spread cells candidates exact energy coloring metropolis anneal
-    io plot settings tables runs arguments cli
-""".split()
-PEOPLE = {"io", "plot", "settings", "tables", "runs", "arguments", "cli"}  # may `import jaxtissue` as users do
+TISSUE = ["backbones", "tube", "sampling", "lines", "voronoi", "spread", "cells", "candidates", "exact"]
+CONTACTS = ["leads", "edges", "contacts", "transitions"]
+MOVES = ["energy", "coloring", "metropolis", "anneal"]
+PEOPLE = [
+    "io",
+    "plot",
+    "settings",
+    "tables",
+    "runs",
+    "arguments",
+    "cli",
+]  # may `import jaxtissue` as users do
+ORDER = TISSUE + CONTACTS + MOVES + PEOPLE
 EXTRAS = {"tifffile", "skimage", "pyevtk", "pandas", "pyvista", "trimesh"}
 MODULES = sorted(p for p in Path(jaxtissue.__file__).parent.glob("*.py") if not p.stem.startswith("__"))
 

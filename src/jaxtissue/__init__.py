@@ -19,6 +19,8 @@ from jaxtissue.anneal import (
 from jaxtissue.backbones import Backbones, distance_between_segments, distance_to_segment
 from jaxtissue.candidates import find_candidates, measure_tissue, sided, tiling_defect
 from jaxtissue.cells import CellGeometry, measure_cells
+from jaxtissue.contacts import Contacts, find_contacts
+from jaxtissue.edges import trace_edges
 from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
 from jaxtissue.exact import ExactDiagram, exact_cells
 from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines, resolution_named
@@ -31,6 +33,7 @@ from jaxtissue.spread import (
     tightness,
     tube_neighbor_bound,
 )
+from jaxtissue.transitions import Transitions, find_forms, find_transitions
 from jaxtissue.tube import Tube, cells_for_unit_volume
 from jaxtissue.voronoi import label_image, label_volumes, nearest_backbones
 
@@ -40,6 +43,7 @@ __all__ = [
     "Annealer",
     "Backbones",
     "CellGeometry",
+    "Contacts",
     "ExactDiagram",
     "Lines",
     "Model",
@@ -47,6 +51,7 @@ __all__ = [
     "SweepInfo",
     "SweepRecord",
     "TissueState",
+    "Transitions",
     "Tube",
     "cartesian_voxels",
     "cells_for_unit_volume",
@@ -58,6 +63,9 @@ __all__ = [
     "epithelial_energy",
     "exact_cells",
     "find_candidates",
+    "find_contacts",
+    "find_forms",
+    "find_transitions",
     "geometric_schedule",
     "has_stalled",
     "label_image",
@@ -75,6 +83,7 @@ __all__ = [
     "tightness",
     "tiling_defect",
     "tissue_state",
+    "trace_edges",
     "tube_model",
     "tube_neighbor_bound",
     "volume_elasticity",

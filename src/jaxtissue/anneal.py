@@ -122,6 +122,8 @@ class Annealer:
             raise ValueError(f"unknown algorithm {algorithm!r}; use {' or '.join(ALGORITHMS)}")
         if conflicts not in CONFLICTS:
             raise ValueError(f"unknown conflict rule {conflicts!r}; use one of {', '.join(CONFLICTS)}")
+        if not 0 <= seed < 2**32:
+            raise ValueError(f"seed={seed} is not within 0 and 2^32 - 1; give one that is")
         temperatures = np.asarray(temperatures, float)
         if not (np.isfinite(temperatures).all() and (temperatures >= 0).all()):
             raise ValueError("temperatures must be finite and at least 0; change the schedule")

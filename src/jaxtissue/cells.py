@@ -208,12 +208,12 @@ def strips(wall: Walls, ends: Array, limit: Array, lines: Lines) -> tuple[Array,
         layer_area += inside * filled / 2
         wall_area += inside * both(jnp.where(left, before.area, after.area))
         wall_length += inside * both(jnp.where(left, before.edge, after.edge))
-    radial = jnp.where(
-        (low > 0) & (low < high) & (live > 0), jnp.maximum(width(low[:, None], low[:, None] < bend), 0), 0
-    )
-    radial += jnp.where(
-        (high < 1) & (low < high), jnp.maximum(width(high[:, None], high[:, None] < bend), 0), 0
-    )
+    # each end of the limit falls in one strip, half open, even where it falls on a line
+    following = jnp.asarray(lines.offset, dtype)[1:, None]
+    starts = (limit[0] < np.pi) & (offset <= -limit[0]) & (-limit[0] < following) & (live > 0)
+    stops = (limit[1] < np.pi) & (offset <= limit[1]) & (limit[1] < following) & (live > 0)
+    radial = jnp.where(starts, jnp.maximum(width(low[:, None], low[:, None] < bend), 0), 0)
+    radial += jnp.where(stops, jnp.maximum(width(high[:, None], high[:, None] < bend), 0), 0)
     return layer_area, wall_area, wall_length, radial
 
 

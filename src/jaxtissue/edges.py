@@ -1,314 +1,264 @@
-"""The edges of the diagram, where three cells meet, followed from end to end: who meets whom, exactly.
+"""The edges of the diagram, where three labels meet, followed from vertex to vertex.
 
-With the foot of cell j at radius max(h, R_a), h = y cos t_j + z sin t_j, its squared distance is
-d_j^2 = |p|^2 - 2 x x_j + x_j^2 - c(h), where c(h) = h^2 above R_a and 2 R_a h - R_a^2 below. So the *lead* of
-j over a, d_a^2 - d_j^2, is smooth (C1) and its gradient is 2 (q_j - q_a), q the feet. The four bounds of the
-tissue count as four more cells, whose leads are R_a^2 - r^2, r^2 - R_b^2, -x and x - L. Then an edge is where
-three labels lead equally, a vertex where four do, every vertex ends four edges and every edge has two ends:
-what is missing shows. All in float64.
+From each backbone a line along x meets the first wall on either surface; from there edges are followed both
+ways to the vertices that end them, and from each new vertex its other edges. Every vertex ends as many edges
+as it has triples of labels, every edge has two ends: what is missing shows as an open end.
 """
 
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Int
+from jaxtyping import ArrayLike, Float, Int
+from scipy import sparse
 
-from jaxtissue.candidates import find_candidates
+from jaxtissue.candidates import find_candidates, hop_lists
+from jaxtissue.leads import TINY, Leads
 from jaxtissue.tube import Tube
 
-BOUNDS = 4  # labels n .. n + 3: apical, basal, x = 0, x = L
+STEP = 0.3  # longest step, in mean cell widths at the local radius
 TURN = 0.97  # cosine of the most that an edge may turn in a step
-STEP = 0.3  # largest step, in mean cell widths at the local radius
 TOUCH = 1e-11  # in units of R_b + L: nearer is taken as touching
-
-
-class Front(NamedTuple):
-    """Points that run along edges: label rows sorted, cells before bounds."""
-
-    point: Float[np.ndarray, "m 3"]
-    labels: Int[np.ndarray, "m 3"]
-    sign: Float[np.ndarray, " m"]  # along grad lead_1 x grad lead_2, or against it
-    start: Int[np.ndarray, " m"]  # the end it left, 4 vertex + place of the missing label; -1 for a seed
-
-
-class Segments(NamedTuple):
-    """Short pieces of edges with unit tangents, all along grad lead_1 x grad lead_2 of the edge's labels."""
-
-    edge: Int[np.ndarray, " s"]
-    point: Float[np.ndarray, "s 2 3"]
-    tangent: Float[np.ndarray, "s 2 3"]
+LOOP, LOST = -1, -2
 
 
 class EdgeGraph(NamedTuple):
-    """Vertices and edges of a tissue by their labels: cells, then n + 0 .. 3 the apical and basal surface and
-    the ends x = 0 and x = L. Edges hold at least two cells."""
+    """Vertices and edges of a tissue of n cells by their sorted labels: cells, and n .. n + 3 the apical and
+    basal surface and the ends x = 0 and x = L.
+
+    Edges with one cell only (of the tube itself) are left out. Edges come in short segments of given ends and
+    unit tangents, all along grad lead_1 x grad lead_2 over the edge's first label.
+    """
 
     cells: int
     vertices: Float[np.ndarray, "v 3"]
     vertex_labels: Int[np.ndarray, "v 4"]
     edge_labels: Int[np.ndarray, "e 3"]
-    edge_vertices: Int[np.ndarray, "e 2"]  # -1 for a loop
-    segments: Segments
-    open_ends: int  # ends of edges at a vertex that lead nowhere: 0 unless the tissue is degenerate
+    edge_vertices: Int[np.ndarray, "e 2"]  # -1 for a closed edge
+    segment_edge: Int[np.ndarray, " s"]
+    points: Float[np.ndarray, "s 2 3"]
+    tangents: Float[np.ndarray, "s 2 3"]
+    open_ends: int  # 0 unless backbones coincide or lie on a lattice
 
 
-class Leads:
-    """Leads of labels over a cell, at points."""
+class Front(NamedTuple):
+    """Points that start along edges, and what they left: 4 vertex + place of the label not on the edge, or
+    -1 within an edge."""
 
-    def __init__(self, positions: ArrayLike, tube: Tube) -> None:
-        axial, angle = np.pad(np.asarray(positions, float).T, ((0, 0), (0, BOUNDS)))
-        self.count = len(axial) - BOUNDS
-        self.axial, self.direction = axial, np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        self.inner, self.outer = float(tube.apical_radius), float(tube.basal_radius)
-        self.length = float(tube.length)
-        self.size = self.outer + self.length
-
-    def along(self, point: np.ndarray, own: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Leads [..., k] of `labels` over `own` [...] and their gradients [..., k, 3] at `point` [..., 3]."""
-        point, own = point[..., None, :], own[..., None]
-        height, foot = [], []
-        for label in (labels, own):
-            height.append((point[..., 1:] * self.direction[label]).sum(axis=-1))
-            foot.append(np.maximum(height[-1], self.inner))
-        # c(h) = s (2 h - s), so c(h_j) - c(h_a) loses no digits where the cells are close
-        gap = self.axial[labels] - self.axial[own]
-        capped = (foot[0] - foot[1]) * (2 * height[1] - foot[0] - foot[1]) + 2 * foot[0] * self._turn(
-            point, labels, own
-        )
-        lead = gap * (2 * point[..., 0] - self.axial[labels] - self.axial[own]) + capped
-        across = foot[0][..., None] * self.direction[labels] - foot[1][..., None] * self.direction[own]
-        slope = 2 * np.concatenate([gap[..., None], across], axis=-1)
-        for bound in range(BOUNDS):
-            here = labels == self.count + bound
-            if here.any():
-                lead_b, slope_b = self._bound(bound, np.broadcast_to(point, slope.shape)[here])
-                lead[here], slope[here] = lead_b, slope_b
-        return lead, slope
-
-    def _turn(self, point: np.ndarray, labels: np.ndarray, own: np.ndarray) -> np.ndarray:
-        return (point[..., 1:] * (self.direction[labels] - self.direction[own])).sum(axis=-1)
-
-    def _bound(self, bound: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        if bound < 2:
-            outward = (-1.0, 1.0)[bound]
-            radius = (self.inner, self.outer)[bound]
-            square = point[:, 1] ** 2 + point[:, 2] ** 2 - radius**2
-            return outward * square, outward * 2 * point * [0, 1, 1]
-        outward = (-1.0, 1.0)[bound - 2]
-        place = (0.0, self.length)[bound - 2]
-        return outward * (point[:, 0] - place), np.broadcast_to([outward, 0.0, 0.0], point.shape)
-
-    def tangent(self, point: np.ndarray, labels: np.ndarray) -> np.ndarray:
-        """Unit tangents grad lead_1 x grad lead_2 of edges."""
-        slope = self.along(point, labels[:, 0], labels[:, 1:])[1]
-        cross = np.cross(slope[:, 0], slope[:, 1])
-        return cross / np.maximum(np.linalg.norm(cross, axis=-1, keepdims=True), 1e-300)
-
-    def solve(self, point: np.ndarray, labels: np.ndarray, turns: int) -> tuple[np.ndarray, np.ndarray]:
-        """Newton to where all labels lead equally, nearest point for three; and the size of the last step."""
-        step = np.zeros_like(point)
-        for _ in range(turns):
-            lead, slope = self.along(point, labels[:, 0], labels[:, 1:])
-            norm = np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-300)
-            rows, side = slope / norm, lead[..., None] / norm
-            if rows.shape[1] == 2:
-                rows = np.append(rows, np.cross(rows[:, :1], rows[:, 1:]), axis=1)
-                side = np.append(side, np.zeros_like(side[:, :1]), axis=1)
-            regular = np.abs(np.linalg.det(rows)) > 1e-12
-            step = np.full_like(point, np.inf)
-            step[regular] = np.linalg.solve(rows[regular], side[regular])[..., 0]
-            point = point - np.where(np.abs(step) < self.size, step, 0)
-        return point, np.abs(step).max(axis=-1, initial=0)
-
-
-class Tracer:
-    """Follows edges of one tissue from vertex to vertex."""
-
-    def __init__(self, positions: ArrayLike, tube: Tube) -> None:
-        self.leads = Leads(positions, tube)
-        n = self.leads.count
-        lists = find_candidates(np.asarray(positions), tube) if n > 1 else np.zeros((n, 1), int)
-        bounds = np.broadcast_to(n + np.arange(BOUNDS), (n, BOUNDS))
-        self.rivals = np.concatenate([lists, bounds], axis=1)
-        self.width = np.sqrt(2 * np.pi * self.leads.length / n)
-
-    def nearness(self, point: np.ndarray, labels: np.ndarray, ahead: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Every rival's label, its distance over the wall to it (negative: not yet), and its rate of approach."""
-        rivals = self.rivals[labels[:, 0]]
-        lead, slope = self.leads.along(point, labels[:, 0], rivals)
-        norm = np.maximum(np.linalg.norm(slope, axis=-1), 1e-300)
-        member = (rivals[..., None] == labels[:, None]).any(axis=-1)
-        over = np.where(member, -np.inf, lead / norm)
-        return rivals, over, np.einsum("mkj,mj->mk", slope, ahead) / norm
-
-    def seeds(self) -> Front:
-        """Where each cell's backbone, shifted along x on either surface, meets another cell: both ways."""
-        leads, n = self.leads, self.leads.count
-        own = np.tile(np.arange(n), 2)
-        radius = np.repeat([leads.inner, leads.outer], n)
-        point = np.concatenate([leads.axial[own, None], radius[:, None] * leads.direction[own]], axis=1)
-        rivals = self.rivals[own, :-BOUNDS]
-        lead, slope = leads.along(point, own, rivals)
-        fronts = []
-        with np.errstate(divide="ignore", invalid="ignore"):
-            reach = np.where(rivals == own[:, None], np.nan, -lead / slope[..., 0])
-        for side in (-1, 1):
-            far = np.where(side * reach > 0, side * reach, np.inf)
-            first = far.argmin(axis=1)
-            seed = point.copy()
-            seed[:, 0] += side * far.min(axis=1)
-            met = (seed[:, 0] > 0) & (seed[:, 0] < leads.length)
-            other = rivals[np.arange(2 * n), first]
-            labels = np.stack([*np.sort([own, other], axis=0), n + (np.arange(2 * n) >= n)], axis=1)
-            fronts += [(seed[met], labels[met], np.full(met.sum(), sign)) for sign in (-1.0, 1.0)]
-        point, labels, sign = (np.concatenate(part) for part in zip(*fronts, strict=True))
-        return Front(point, labels, sign, np.full(len(point), -1))
-
-    def advance(self, front: Front, step: np.ndarray) -> tuple[np.ndarray, ...]:
-        """One step: the new points, whether it went well, and the label met there, or -1.
-
-        A step ends where the edge has not turned much; if a rival is nearer there, at the vertex with it.
-        """
-        leads, labels = self.leads, front.labels
-        ahead = front.sign[:, None] * leads.tangent(front.point, labels)
-        _, over, rate = self.nearness(front.point, labels, ahead)
-        # 0.2 for the bending of edge and walls within a step; 1.5 to pass a wall that is met head-on
-        safe = np.where(rate > -0.2, 1.5 * np.maximum(-over, 0) / (np.maximum(rate, 0) + 0.2), np.inf)
-        step = np.minimum(step, np.maximum(safe.min(axis=1), 0.05 * step))
-        point, error = leads.solve(front.point + step[:, None] * ahead, labels, 4)
-        turned = front.sign[:, None] * leads.tangent(point, labels)
-        good = (error < TOUCH * leads.size) & ((turned * ahead).sum(axis=1) > TURN)
-        moved = ((point - front.point) * ahead).sum(axis=1)
-        good &= (moved > 0) & (moved < 2 * step)
-        met = np.full(len(labels), -1)
-        pending = good.copy()
-        for _ in range(8):
-            some = np.flatnonzero(pending)
-            rivals, over, rate = self.nearness(point[some], labels[some], turned[some])
-            nearer = np.where(rivals == met[some, None], -np.inf, over)
-            worst = nearer.argmax(axis=1)
-            beyond = nearer[np.arange(len(some)), worst] > TOUCH * leads.size
-            pending[some[~beyond]] = False
-            some, rival = some[beyond], rivals[np.arange(len(some)), worst][beyond]
-            if not len(some):
-                break
-            met[some] = rival
-            four = np.concatenate([labels[some], rival[:, None]], axis=1)
-            point[some], error = leads.solve(point[some], four, 8)
-            ends = (error < TOUCH * leads.size) & np.isfinite(point[some]).all(axis=1)
-            good[some] &= ends
-            pending[some] &= ends
-        good &= ~pending
-        last = front.sign[:, None] * leads.tangent(point, labels)
-        moved = ((point - front.point) * ahead).sum(axis=1)
-        good &= (moved > -TOUCH * leads.size) & (moved < 2 * step) & ((last * ahead).sum(axis=1) > TURN)
-        _, slope = leads.along(point, labels[:, 0], np.maximum(met, 0)[:, None])
-        good &= (met < 0) | ((slope[:, 0] * last).sum(axis=1) > 0)
-        return point, good, met, step
-
-    def follow(self, front: Front) -> "Course":
-        """Follow every front to the vertex that ends its edge, or once round its loop."""
-        leads, count = self.leads, len(front.point)
-        point, met = front.point.copy(), np.full(count, LOST)
-        step, gone = np.full(count, np.inf), np.zeros(count)
-        parts = [(np.zeros(0, int), np.zeros((0, 2, 3)))]
-        active = np.arange(count)
-        while len(active):
-            some = front._replace(point=point[active], labels=front.labels[active], sign=front.sign[active])
-            cap = STEP * self.width * np.sqrt(np.hypot(*some.point[:, 1:].T))
-            asked = np.minimum(step[active], cap)
-            end, good, rival, tried = self.advance(some, asked)
-            round_again = good & (front.start[active] < 0) & (gone[active] > 3 * tried)
-            home = front.point[active] - some.point
-            along = (home * (end - some.point)).sum(axis=1) / np.maximum(
-                ((end - some.point) ** 2).sum(axis=1), 1e-300
-            )
-            off = np.linalg.norm(home - along[:, None] * (end - some.point), axis=1)
-            round_again &= (along >= 0) & (along < 1) & (off < 0.2 * tried)
-            end = np.where(round_again[:, None], front.point[active], end)
-            parts.append((active[good], np.stack([some.point, end], axis=1)[good]))
-            gone[active] += np.where(good, tried, 0)
-            point[active] = np.where(good[:, None], end, some.point)
-            step[active] = np.where(good, 2 * asked, tried / 4)
-            met[active] = np.where(round_again, LOOP, np.where(good & (rival >= 0), rival, LOST))
-            active = active[(met[active] == LOST) & (step[active] > TOUCH * leads.size)]
-        which, pieces = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return Course(point, met, which, pieces)
+    point: Float[np.ndarray, "m 3"]
+    labels: Int[np.ndarray, "m 3"]
+    sign: Float[np.ndarray, " m"]  # along the edge's tangent, or against it
+    end: Int[np.ndarray, " m"]
 
 
 class Course(NamedTuple):
-    """Where fronts came to: the point, the label met there (LOOP for a closed edge), and the way there."""
+    """Where fronts came to, the label met there, LOOP or LOST, and the segments (front, its two points)."""
 
-    point: np.ndarray
-    met: np.ndarray
-    front: np.ndarray
-    pieces: np.ndarray
-
-
-LOOP, LOST = -1, -2
+    point: Float[np.ndarray, "m 3"]
+    met: Int[np.ndarray, " m"]
+    front: Int[np.ndarray, " s"]
+    points: Float[np.ndarray, "s 2 3"]
 
 
-class Vertices:
-    """The vertices found so far, by labels, handedness and place."""
+def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
+    """All edges and vertices of the cells of backbones at (axial, angle) positions, [n, 2], in float64.
 
-    def __init__(self, tolerance: float) -> None:
-        self.points: list[np.ndarray] = []
-        self.labels: list[tuple[int, ...]] = []
-        self.known: dict[tuple[int, ...], list[int]] = {}
-        self.tolerance = tolerance
-
-    def enter(self, point: np.ndarray, labels: np.ndarray) -> int:
-        key = tuple(labels.tolist())
-        for vertex in self.known.get(key, []):
-            if np.abs(self.points[vertex] - point).max() < self.tolerance:
-                return vertex
-        self.points.append(point)
-        self.labels.append(key)
-        self.known.setdefault(key, []).append(len(self.points) - 1)
-        return len(self.points) - 1
+    Edges of a part of the diagram that no edge joins to a wall beside a backbone are not seen: closed edges
+    within the tissue. Paper, section 4.1.
+    """
+    place = np.asarray(positions, float)
+    graph = _trace(Leads(place, tube, find_candidates(place, tube) if len(place) > 1 else None))
+    if graph.open_ends:  # a list lacks a rival that touches its cell between all lines measured
+        graph = _trace(Leads(place, tube, hop_lists(touching(graph), place, tube)))
+    return graph
 
 
-def trace_edges(positions: ArrayLike, tube: Tube) -> EdgeGraph:
-    """All edges of the diagram that can be reached from the backbones along edges."""
-    tracer = Tracer(positions, tube)
-    n, vertices = tracer.leads.count, Vertices(1e-8 * tracer.leads.size)
-    front = tracer.seeds()
-    ends: dict[tuple[int, int], tuple] = {}
-    started: set[int] = set()
-    loops: dict[tuple, tuple] = {}
-    lost = 0
+def _trace(leads: Leads) -> EdgeGraph:
+    graph, front = _Growing(leads), seed(leads)
     while len(front.point):
-        course = tracer.follow(front)
-        order = np.argsort(course.front, kind="stable")
-        bounds = np.searchsorted(course.front[order], np.arange(len(front.point) + 1))
-        fresh: list[tuple] = []
-        lost += int(((course.met == LOST) & (front.start >= 0)).sum())
-        reached = np.flatnonzero(course.met >= 0)
-        four = np.sort(np.concatenate([front.labels, course.met[:, None]], axis=1), axis=1)
-        known = len(vertices.points)
-        for i in reached:
-            vertex = vertices.enter(course.point[i], four[i])
-            place = int((four[i] == course.met[i]).argmax())
-            if front.start[i] >= 0:
-                end = 4 * vertex + place
-                key = (min(end, int(front.start[i])), max(end, int(front.start[i])))
-                started.add(end)
-                ends.setdefault(key, (i, front, course.pieces[order[bounds[i] : bounds[i + 1]]]))
-        for i in np.flatnonzero(course.met == LOOP):
-            loops.setdefault(
-                tuple(front.labels[i]), (i, front, course.pieces[order[bounds[i] : bounds[i + 1]]])
-            )
-        # depart from every end of the new vertices
-        points = np.array(vertices.points[known:]).reshape(-1, 3)
-        labels = np.array(vertices.labels[known:], int).reshape(-1, 4)
-        rows = []
+        front = graph.take(front, follow(front, leads))
+    return graph.finish()
+
+
+def touching(graph: EdgeGraph) -> sparse.csr_array:
+    """Who shares an edge or a vertex with whom, as a symmetric [n, n] matrix."""
+    pairs = [
+        rows[:, [i, j]]
+        for rows in (graph.edge_labels, graph.vertex_labels)
+        for i, j in combinations(range(rows.shape[1]), 2)
+    ]
+    first, second = np.concatenate(pairs).T
+    real = second < graph.cells
+    pair = np.concatenate([[first[real], second[real]], [second[real], first[real]]], axis=1)
+    shape = (graph.cells, graph.cells)
+    return sparse.coo_array((np.ones(pair.shape[1], bool), pair), shape=shape).tocsr()
+
+
+def seed(leads: Leads) -> Front:
+    """Where each backbone's end, moved along x on either surface, meets a wall or an end: there both ways."""
+    n, fronts = leads.count, []
+    own, surface = np.tile(np.arange(n), 2), np.repeat([0, 1], n)
+    radius = np.array([leads.inner, leads.outer])[surface]
+    place = np.concatenate([leads.axial[own, None], radius[:, None] * leads.direction[own]], axis=1)
+    lead, slope = leads.over_first(place, np.append(own[:, None], leads.rivals[own], axis=1))
+    for side in (-1, 1):
+        toward = side * slope[..., 0]
+        away = np.where(toward > 0, -lead / np.where(toward > 0, toward, 1), np.inf)
+        other = leads.rivals[own, away.argmin(axis=1)]
+        point = place.copy()
+        point[:, 0] = np.clip(place[:, 0] + side * away.min(axis=1), 0, leads.length)
+        met = (point[:, 0] > 0) & (point[:, 0] < leads.length)
+        walls = np.stack([*np.sort([own, other], axis=0), n + surface], axis=1)
+        rims = np.stack([own, n + surface, np.full(2 * n, n + 2 + (side > 0))], axis=1)
+        labels = np.where(met[:, None], walls, rims)
+        fronts += [(point, labels, np.full(2 * n, sign)) for sign in (-1.0, 1.0)]
+    point, labels, sign = (np.concatenate(part) for part in zip(*fronts, strict=True))
+    return Front(point, labels, sign, np.full(len(point), -1))
+
+
+def follow(front: Front, leads: Leads) -> Course:
+    """Follow every front to the vertex that ends its edge, or back to where it began."""
+    count, width = len(front.point), STEP * np.sqrt(2 * np.pi * leads.length / leads.count)
+    point, met = front.point.copy(), np.full(count, LOST)
+    ahead = front.sign[:, None] * leads.tangent(point, front.labels)
+    safe = leads.foremost(point, front.labels, ahead)[2]
+    asked, gone = np.full(count, np.inf), np.zeros(count)
+    done = [(np.zeros(0, int), np.zeros((0, 2, 3)))]
+    active = np.arange(count)
+    while len(active):
+        old, labels, sign = point[active], front.labels[active], front.sign[active]
+        longest = np.minimum(asked[active], width * np.sqrt(np.hypot(old[:, 1], old[:, 2])))
+        step = np.minimum(longest, np.maximum(safe[active], longest / 20))
+        new, turned, onward, rival = advance(old, labels, sign, ahead[active], step, leads)
+        good = rival != LOST
+        home = (front.end[active] < 0) & (gone[active] > 3 * step) & good
+        home &= passes(front.point[active], old, new, step / 5)
+        new[home] = front.point[active[home]]
+        done.append((active[good], np.stack([old, new], axis=1)[good]))
+        moved = active[good]
+        point[moved], ahead[moved], safe[moved] = new[good], turned[good], onward[good]
+        gone[moved] += step[good]
+        asked[active] = np.where(good, 2 * longest, step / 4)
+        met[active] = np.where(home, LOOP, np.where(good & (rival >= 0), rival, LOST))
+        active = active[(met[active] == LOST) & (asked[active] > TOUCH * leads.size)]
+    which, points = (np.concatenate(part) for part in zip(*done, strict=True))
+    return Course(point, met, which, points)
+
+
+def passes(target: np.ndarray, start: np.ndarray, stop: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """Whether a target lies beside the way from start to stop."""
+    way, off = stop - start, target - start
+    share = (off * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), TINY)
+    return (share > 0) & (share <= 1) & (np.linalg.norm(off - share[:, None] * way, axis=1) < within)
+
+
+def advance(
+    start: np.ndarray, labels: np.ndarray, sign: np.ndarray, ahead: np.ndarray, step: np.ndarray, leads: Leads
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """One step along edges: the new points, tangents, safe lengths, and who is met: LOOP nobody yet, LOST the
+    step was too long. Whoever leads at the new point ends the edge before it, at the vertex with them."""
+    near = TOUCH * leads.size
+    point, error = leads.solve(start + step[:, None] * ahead, labels, 4)
+    met = np.where(error < near, LOOP, LOST)
+    point = np.where(error[:, None] < near, point, start)
+    turned = sign[:, None] * leads.tangent(point, labels)
+    met[(turned * ahead).sum(axis=1) < TURN] = LOST
+    rival, beyond, safe = leads.foremost(point, labels, turned)
+    open_ = np.flatnonzero((met == LOOP) & (beyond > near))
+    for _ in range(8):  # each vertex lies before the last, until nobody leads there
+        met[open_] = rival[open_]
+        four = np.append(labels[open_], met[open_, None], axis=1)
+        point[open_], error = leads.solve(point[open_], four, 8)
+        failed = ~(error < near)
+        met[open_[failed]], open_, four = LOST, open_[~failed], four[~failed]
+        rival[open_], beyond[open_], _ = leads.foremost(point[open_], four, turned[open_])
+        open_ = open_[beyond[open_] > near]
+        if not len(open_):
+            break
+    met[open_] = LOST
+    point = np.where(met[:, None] == LOST, start, point)
+    ends = np.flatnonzero(met >= 0)
+    turned[ends] = sign[ends, None] * leads.tangent(point[ends], labels[ends])
+    _, slope = leads.over_first(point[ends], np.stack([labels[ends, 0], met[ends]], axis=1))
+    leaving = (slope[:, 0] * turned[ends]).sum(axis=1) <= 0  # a vertex that begins the edge, not ends it
+    moved = ((point - start) * ahead).sum(axis=1)
+    bad = (moved < -near) | (moved > 2 * step) | ((turned * ahead).sum(axis=1) < TURN)
+    met[bad], met[ends[leaving]] = LOST, LOST
+    return point, turned, safe, met
+
+
+class _Growing:
+    """The graph while it is traced."""
+
+    def __init__(self, leads: Leads) -> None:
+        self.leads = leads
+        self.points: list[np.ndarray] = []
+        self.labels: list[list[int]] = []
+        self.known: dict[tuple[int, ...], list[int]] = {}
+        self.started: set[int] = set()
+        self.edges: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = {}  # ends, or labels of a loop
+
+    def vertex(self, point: np.ndarray, labels: list[int]) -> int:
+        """The number of a vertex, new or known."""
+        same = self.known.setdefault(tuple(labels), [])
+        for number in same:
+            if np.abs(self.points[number] - point).max() < 1e-8 * self.leads.size:
+                return number
+        same.append(len(self.points))
+        self.points.append(point)
+        self.labels.append(labels)
+        return same[-1]
+
+    def take(self, front: Front, course: Course) -> Front:
+        """Enter the edges that were followed; the fronts that leave the new vertices."""
+        known, order = len(self.points), np.argsort(course.front, kind="stable")
+        last = np.cumsum(np.bincount(course.front, minlength=len(course.met)))
+        ways = np.split(course.points[order], last[:-1])
+        of_tube = front.labels[:, 1] >= self.leads.count
+        for i in np.flatnonzero((course.met != LOST) & ~(of_tube & (course.met == LOOP))):
+            key = tuple(front.labels[i].tolist())
+            if course.met[i] != LOOP:
+                four = sorted([*key, int(course.met[i])])
+                end = 4 * self.vertex(course.point[i], four) + four.index(int(course.met[i]))
+                if front.end[i] < 0:
+                    continue
+                self.started.add(end)
+                key = tuple(sorted((int(front.end[i]), end)))
+            forward = int(front.sign[i])
+            self.edges.setdefault(key, (front.labels[i], ways[i][::forward, ::forward]))
+        return self.leave(known)
+
+    def leave(self, first: int) -> Front:
+        """Fronts along the edges that the vertices from number `first` on end, if not yet followed."""
+        point = np.array(self.points[first:]).reshape(-1, 3)
+        labels = np.array(self.labels[first:], int).reshape(-1, 4)
+        parts = []
         for place in range(4):
             triple, other = np.delete(labels, place, axis=1), labels[:, place]
-            end = 4 * (known + np.arange(len(labels))) + place
-            _, slope = tracer.leads.along(points, triple[:, 0], other[:, None])
-            sign = -np.sign((tracer.leads.tangent(points, triple) * slope[:, 0]).sum(axis=1))
-            go = (triple[:, 1] < n) & ~np.isin(end, list(started))
-            rows.append((points[go], triple[go], sign[go], end[go]))
-        front = Front(*(np.concatenate(part) for part in zip(*rows, strict=True)))
-        started |= set(front.start.tolist())
-    return ends, vertices, loops, lost
+            end = 4 * (first + np.arange(len(labels))) + place
+            _, slope = self.leads.over_first(point, np.stack([triple[:, 0], other], axis=1))
+            sign = -np.sign((self.leads.tangent(point, triple) * slope[:, 0]).sum(axis=1))
+            new = np.array([number not in self.started for number in end.tolist()], bool)
+            go = (triple[:, 1] < self.leads.count) & new
+            parts.append((point[go], triple[go], sign[go], end[go]))
+        front = Front(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        self.started |= set(front.end.tolist())
+        return front
+
+    def finish(self) -> EdgeGraph:
+        """The graph traced."""
+        leads, entries = self.leads, list(self.edges.items())
+        labels = np.array([edge for _, (edge, _) in entries], int).reshape(-1, 3)
+        ends = np.array([key if len(key) == 2 else (-1, -1) for key, _ in entries], int).reshape(-1, 2)
+        ways = [way for _, (_, way) in entries]
+        segment = np.repeat(np.arange(len(ways)), [len(way) for way in ways])
+        points = np.concatenate([np.zeros((0, 2, 3)), *ways])
+        tangents = leads.tangent(points.reshape(-1, 3), np.repeat(labels[segment], 2, axis=0)).reshape(
+            -1, 2, 3
+        )
+        four = np.array(self.labels, int).reshape(-1, 4)
+        real = (four < leads.count).sum(axis=1)
+        due = (real == 4) * 4 + (real == 3) * 4 + (real == 2) * 2  # triples with at least two cells
+        open_ends = int(due.sum()) - len(np.unique(ends[ends >= 0]))
+        vertices = np.array(self.points).reshape(-1, 3)
+        return EdgeGraph(leads.count, vertices, four, labels, ends // 4, segment, points, tangents, open_ends)

@@ -1,0 +1,182 @@
+"""Who touches whom: walls between cells, measured from the edges that bound them."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import ArrayLike, Bool, Float, Int
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.special import roots_jacobi
+
+from jaxtissue.edges import EdgeGraph, trace_edges
+from jaxtissue.leads import TINY, Leads
+from jaxtissue.tube import Tube
+
+KINDS = ("internal", "apical", "basal", "apical_basal")
+ROUNDOFF = (
+    1e-10  # of the mean wall: on a lattice four cells meet along an edge, and the diagonal pairs don't touch
+)
+STEEP = 0.1  # cosine between a wall and its mean plane below which it is taken as this
+_SHARES = 0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)  # Gauss-Legendre nodes of a segment
+_DEPTHS, _WEIGHTS = ((1 + roots_jacobi(4, 0, 1)[0]) / 2, roots_jacobi(4, 0, 1)[1] / 4)  # of int_0^1 f(s) s ds
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """The pairs of cells that share a wall, a < b, in order; areas and lengths in units of the tube's."""
+
+    cells: int
+    pairs: Int[np.ndarray, "m 2"]
+    area: Float[np.ndarray, " m"]  # of the wall
+    apical_length: Float[np.ndarray, " m"]  # of its edge on the apical surface, 0 where it has none
+    basal_length: Float[np.ndarray, " m"]
+    kind: np.ndarray  # of KINDS, by the surfaces on which they touch
+    pieces: Int[np.ndarray, " m"]  # connected parts of the wall
+
+    def degree(self, *kinds: str) -> Int[np.ndarray, " n"]:
+        """Number of neighbors of each cell, of the given kinds or of all."""
+        chosen = self.pairs[np.isin(self.kind, kinds or KINDS)]
+        return np.bincount(chosen.ravel(), minlength=self.cells)
+
+
+class Faces(NamedTuple):
+    """The faces of the cells, by the two labels they part (the second a bound on the tube's own surfaces),
+    and their rims: a row for every face that an edge bounds.
+
+    A rim's sign is 1 if the face lies to the left of the edge, seen against the normal to the second label.
+    Rows of a face that are joined at vertices are a part.
+    """
+
+    labels: Int[np.ndarray, "f 2"]
+    face: Int[np.ndarray, " rows"]
+    edge: Int[np.ndarray, " rows"]
+    sign: Float[np.ndarray, " rows"]
+    part: Int[np.ndarray, " rows"]
+    part_face: Int[np.ndarray, " parts"]
+    area: Float[np.ndarray, " f"]
+    is_outer: Bool[np.ndarray, " parts"]  # the part runs round a piece of its face; else a hole or the lumen
+    is_cut: Bool[np.ndarray, " parts"]  # the part ends at an end of the tube, which closes it
+
+
+def find_contacts(
+    positions: Float[ArrayLike, "n 2"], tube: Tube, threshold: float = 0.0, edges: EdgeGraph | None = None
+) -> Contacts:
+    """All pairs of cells with a common wall: its area, edges on the surfaces, kind and pieces.
+
+    The area is int dS / cos, over the projection of the wall on its mean plane, cos that of the angle between
+    them, integrated from the edges inwards. Walls below `threshold`, a fraction of the mean wall, are left
+    out. Positions as (axial, angle), [n, 2]; `edges` spares tracing them anew. Raises `ValueError` for a
+    threshold that is negative or not a number. Paper, section 4.3.
+
+    >>> contacts = find_contacts([[2, 0], [3, 0], [3, 3.1]], Tube(5, 1, 2))
+    >>> contacts.pairs.tolist(), contacts.kind.tolist()
+    ([[0, 1], [0, 2], [1, 2]], ['apical_basal', 'apical_basal', 'apical_basal'])
+    """
+    if not threshold >= 0:
+        raise ValueError(f"threshold={threshold}; give a fraction of the mean wall, 0 or more")
+    graph = trace_edges(positions, tube) if edges is None else edges
+    faces = find_faces(positions, tube, graph)
+    length = _edge_lengths(graph)[faces.edge]
+    bound = graph.edge_labels[faces.edge, 2] - graph.cells
+    count = len(faces.labels)
+    apical, basal = (np.bincount(faces.face, length * (bound == surface), count) for surface in (0, 1))
+    kind = np.array(KINDS)[(apical > 0) + 2 * (basal > 0)]
+    pieces = np.bincount(faces.part_face[faces.is_outer], minlength=count)
+    walls = np.flatnonzero(faces.labels[:, 1] < graph.cells)
+    area = faces.area[walls]
+    kept = walls[area >= max(threshold, ROUNDOFF) * area.mean()] if len(walls) else walls
+    columns = (faces.labels, faces.area, apical, basal, kind, pieces)
+    return Contacts(graph.cells, *(column[kept] for column in columns))
+
+
+def find_faces(positions: Float[ArrayLike, "n 2"], tube: Tube, edges: EdgeGraph) -> Faces:
+    """The faces of all cells from the edges round them; areas of walls between cells only, else 0."""
+    edge = np.arange(len(edges.edge_labels))
+    labels = edges.edge_labels
+    # tangents run along grad lead_b x grad lead_c for labels a, b, c: faces ab, bc lie left of them, ac right
+    sides = np.concatenate([labels[:, [0, 1]], labels[:, [1, 2]], labels[:, [0, 2]]])
+    pairs, face = np.unique(sides, axis=0, return_inverse=True)
+    edge, sign, face = np.tile(edge, 3), np.repeat([1.0, 1.0, -1.0], len(edge)), face.ravel()
+    vertices = edges.edge_vertices[edge]
+    row, end = np.nonzero(vertices >= 0)
+    corner = np.unique(face[row] * len(edges.vertices) + vertices[row, end], return_inverse=True)[1]
+    size = len(edge) + corner.max(initial=-1) + 1
+    joined = sparse.coo_array((np.ones(len(row), bool), (row, len(edge) + corner)), shape=(size, size))
+    count, part = connected_components(joined, directed=False)
+    part, part_face = part[: len(edge)], np.zeros(count, int)
+    part_face[part] = face
+    at_end = edges.vertex_labels[vertices[row, end], 2] >= edges.cells
+    is_cut = np.bincount(part[row], at_end & (pairs[face[row], 1] >= edges.cells), count) > 0
+    faces = Faces(pairs, face, edge, sign, part, part_face, np.zeros(len(pairs)), is_cut, is_cut)
+    area, is_outer = _measure(faces, edges, Leads(positions, tube))
+    return faces._replace(area=area, is_outer=is_outer)
+
+
+def _edge_lengths(graph: EdgeGraph) -> Float[np.ndarray, " e"]:
+    """Lengths of edges: each segment an arc that turns from one tangent to the other."""
+    chord = np.linalg.norm(graph.points[:, 1] - graph.points[:, 0], axis=1)
+    turn = np.linalg.norm(graph.tangents[:, 1] - graph.tangents[:, 0], axis=1)
+    return np.bincount(graph.segment_edge, chord * (1 + turn**2 / 24), len(graph.edge_labels))
+
+
+def _measure(
+    faces: Faces, graph: EdgeGraph, leads: Leads
+) -> tuple[Float[np.ndarray, " f"], Bool[np.ndarray, " parts"]]:
+    """Area of every wall between cells, and which parts run round a piece: area to their left, flattened."""
+    first = np.searchsorted(graph.segment_edge, faces.edge)
+    size = np.searchsorted(graph.segment_edge, faces.edge, side="right") - first
+    row = np.repeat(np.arange(len(size)), size)
+    segment = np.arange(len(row)) + np.repeat(first - np.cumsum(size) + size, size)
+    face, sign, count = faces.face[row], faces.sign[row], len(faces.labels)
+
+    def total(value: np.ndarray) -> np.ndarray:
+        return np.stack([np.bincount(face, column, count) for column in value.T], axis=1).astype(float)
+
+    points, tangents = graph.points[segment], graph.tangents[segment]
+    center = total(points.mean(axis=1)) / np.maximum(np.bincount(face, minlength=count), 1)[:, None]
+    points = points - center[face, None]
+    chord = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)[:, None, None]
+    normal = total(sign[:, None] * np.cross(points[:, 0], points[:, 1]))
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), TINY)
+    plane, pair = normal[face], faces.labels[face]
+    wall = np.flatnonzero(pair[:, 1] < graph.cells)
+    flat, area = np.zeros(len(row)), np.zeros(len(row))
+    for share in _SHARES:
+        at, way = _along(points, tangents * chord, share)
+        swept = sign * (np.cross(at, way) * plane).sum(axis=1) / 2
+        flat += swept / 2
+        for depth, weight in zip(_DEPTHS, _WEIGHTS, strict=True):
+            place = center[face[wall]] + depth * at[wall]
+            area[wall] += swept[wall] * weight * _slant(place, plane[wall], pair[wall], leads)
+    # on the tube's own surfaces, unrolled: int x dt, and such rims as go round the lumen bound no piece alone
+    angle = np.arctan2(graph.points[segment, :, 2], graph.points[segment, :, 1])
+    turn = sign * (np.mod(angle[:, 1] - angle[:, 0] + np.pi, 2 * np.pi) - np.pi)
+    surface = pair[:, 1] - graph.cells
+    inward = np.where(surface == 0, 1, -1)
+    flat = np.where(
+        (surface == 0) | (surface == 1), inward * graph.points[segment, :, 0].mean(axis=1) * turn, flat
+    )
+    parts = len(faces.part_face)
+    round_lumen = np.abs(np.bincount(faces.part[row], np.where(surface >= 0, turn, 0), parts)) > np.pi
+    return np.bincount(face, area, count), (np.bincount(faces.part[row], flat, parts) > 0) & ~round_lumen
+
+
+def _along(points: np.ndarray, tangents: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Point and derivative, at a share of the way, of the cubic with the given ends and end tangents."""
+    s = share
+    blend = (1 - s) ** 2 * (1 + 2 * s), s**2 * (3 - 2 * s), s * (1 - s) ** 2, -(s**2) * (1 - s)
+    slope = -6 * s * (1 - s), 6 * s * (1 - s), (1 - s) * (1 - 3 * s), s * (3 * s - 2)
+    knots = (points[:, 0], points[:, 1], tangents[:, 0], tangents[:, 1])
+    at, way = (sum(c * knot for c, knot in zip(w, knots, strict=True)) for w in (blend, slope))
+    return np.asarray(at), np.asarray(way)
+
+
+def _slant(point: np.ndarray, plane: np.ndarray, pair: np.ndarray, leads: Leads) -> np.ndarray:
+    """1 / cos between the wall of a pair and a plane, at the wall above or below a point of the plane."""
+    rise = slope = np.zeros(0)
+    for _ in range(4):
+        lead, slope = leads.over_first(point, pair)
+        rise = (slope[:, 0] * plane).sum(axis=1)
+        point = point - (lead[:, 0] / np.where(rise == 0, np.inf, rise))[:, None] * plane
+    return 1 / np.maximum(rise / np.linalg.norm(slope[:, 0], axis=1), STEEP)

@@ -1,0 +1,56 @@
+"""Independent sets: every cell once, no conflict within a set, and graphs as others compute them."""
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import sparse
+
+from jaxtissue.coloring import color, distance_conflicts, hop_conflicts
+
+
+def random_graph(n: int, degree: float, seed: int) -> nx.Graph:
+    return nx.gnp_random_graph(n, min(1.0, degree / n), seed=seed)
+
+
+def matrix(graph: nx.Graph) -> sparse.csr_array:
+    return nx.to_scipy_sparse_array(graph, dtype=bool, format="csr")
+
+
+@given(st.integers(1, 60), st.floats(0, 12), st.integers(0, 99), st.integers(1, 20))
+def test_rounds_hold_every_cell_once_and_no_conflict(n: int, degree: float, seed: int, width: int) -> None:
+    conflicts = hop_conflicts(matrix(random_graph(n, degree, seed)), 1)
+    rounds = color(conflicts, width)
+    assert rounds.shape[1] == width
+    assert sorted(rounds[rounds >= 0].tolist()) == list(range(n))
+    for members in rounds:
+        members = members[members >= 0]
+        assert len(members) and not conflicts.toarray()[np.ix_(members, members)].any()
+    # greedy: a round is skipped only for a conflict or when full
+    most = int(conflicts.sum(axis=1).max())
+    assert len(rounds) <= most + 1 + n // width
+
+
+def test_a_complete_graph_is_visited_one_by_one_and_an_empty_one_at_once() -> None:
+    assert len(color(hop_conflicts(matrix(nx.complete_graph(6)), 1), 6)) == 6
+    assert color(hop_conflicts(matrix(nx.empty_graph(6)), 3), 6).tolist() == [[0, 1, 2, 3, 4, 5]]
+
+
+@pytest.mark.parametrize("hops", [1, 2, 3, 4])
+@given(st.integers(1, 40), st.floats(0, 4), st.integers(0, 99))
+def test_hop_conflicts_are_short_paths(hops: int, n: int, degree: float, seed: int) -> None:
+    graph = random_graph(n, degree, seed)
+    expected = np.zeros((n, n), bool)
+    for cell, near in nx.all_pairs_shortest_path_length(graph, cutoff=hops):
+        expected[cell, list(near)] = True
+    np.fill_diagonal(expected, False)
+    np.testing.assert_array_equal(hop_conflicts(matrix(graph), hops).toarray() != 0, expected)
+
+
+@given(st.integers(1, 40), st.floats(0.01, 2), st.integers(0, 99))
+def test_distance_conflicts_are_close_pairs(n: int, distance: float, seed: int) -> None:
+    places = np.random.default_rng(seed).normal(size=(n, 3))
+    gap = np.linalg.norm(places[:, None] - places, axis=-1)
+    expected = (gap <= distance) & ~np.eye(n, dtype=bool)
+    np.testing.assert_array_equal(distance_conflicts(places, distance).toarray() != 0, expected)
