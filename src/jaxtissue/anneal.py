@@ -1,4 +1,4 @@
-"""Annealing: sweep after sweep, lists and rounds renewed between them, at a schedule of temperatures."""
+"""Annealing: chunks of sweeps, lists and rounds renewed between them, at a schedule of temperatures."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -10,8 +10,18 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import sparse
 
-from jaxtissue.candidates import REACH, contact_graph, find_candidates, hop_lists, padded, sided
-from jaxtissue.cells import CellGeometry
+from jaxtissue.candidates import (
+    REACH,
+    around,
+    clearance,
+    contact_graph,
+    find_candidates,
+    hop_lists,
+    nearest_sides,
+    padded,
+    sided,
+)
+from jaxtissue.cells import CellGeometry, Survey, measure_cells
 from jaxtissue.coloring import color, distance_conflicts, hop_conflicts
 from jaxtissue.energy import Model, lateral_tension, volume_elasticity
 from jaxtissue.lines import Lines, Resolution, plan_lines
@@ -19,7 +29,6 @@ from jaxtissue.metropolis import (
     Neighborhoods,
     SweepInfo,
     TissueState,
-    move_bound,
     sweep,
     tissue_state,
 )
@@ -27,35 +36,42 @@ from jaxtissue.spread import covering_radius
 
 ALGORITHMS = ("is-mh", "mh")
 CONFLICTS = ("2-hop", "3-hop", "4-hop", "8-phi")
+SPAN = 5  # sweeps between renewals of lists and rounds, at the sweeps that it divides
+CANDIDATES = 16  # on each side of a cell during a sweep: twice as many as bound a cell in 99 % of cases
+NARROW = 1.5  # mean cell widths on either side of a backbone that the narrow windows cover
 ROUNDS = 42  # sets that the cells are spread over at least: coloring 3 hops takes 33 to 46
 CAPACITY = 64  # rounds are padded to a multiple of it
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
 
 
 class Measured(NamedTuple):
-    """A state measured: its cells, the lists used, and who touches whom."""
+    """A state measured: its cells, what was seen on the way, and who touches whom."""
 
-    tissue: TissueState
-    near: Neighborhoods
+    seen: Survey
+    sides: Int[np.ndarray, "n 2 candidates"]
+    clear: Float[np.ndarray, "n 2 candidates"]
     contacts: sparse.csr_array
-    overflow: bool
+
+    @property
+    def cells(self) -> CellGeometry:
+        """The sizes of the cells."""
+        return self.seen.sizes
 
 
 class AnnealState(NamedTuple):
-    """All that a run needs to go on to the bit: sweeps done, backbones, their candidates, the lines."""
+    """All that a run needs to go on to the bit: sweeps done, backbones, their candidates."""
 
     sweep: int
     positions: Float[np.ndarray, "n 2"]
     neighbors: Int[np.ndarray, "n candidates"]
-    circle: tuple[int, ...]
-    half: tuple[int, ...]
 
 
 class SweepRecord(NamedTuple):
     """One row of a run: the tissue after a sweep, and what the sweep did.
 
     `drift` is the relative difference of the energy carried along by local differences to one measured afresh
-    with new candidate lists; `left_cell` counts the moves proposed out of their own cell.
+    with new candidate lists, where lists were renewed after the sweep, else 0; `left_cell` counts the moves
+    proposed out of their own cell.
     """
 
     sweep: int
@@ -69,6 +85,15 @@ class SweepRecord(NamedTuple):
     seconds: float
     left_cell: int
     drift: float
+
+
+class Trail(NamedTuple):
+    """Sweep by sweep: sizes and backbones after each, and what it did, [sweeps, ...]."""
+
+    volume: Float[np.ndarray, "sweeps n"]
+    lateral_area: Float[np.ndarray, "sweeps n"]
+    positions: Float[np.ndarray, "sweeps n 2"]
+    info: SweepInfo
 
 
 def constant_schedule(temperature: float, sweeps: int) -> Float[np.ndarray, "sweeps"]:
@@ -88,11 +113,38 @@ def has_stalled(energies: Sequence[float], patience: int) -> bool:
     return bool(0 < patience < len(energies) and min(energies[-patience:]) >= min(energies[:-patience]))
 
 
-def numbered_sweep(
-    seed: Array, number: Array, *arguments: Any, lines: Lines
-) -> tuple[TissueState, SweepInfo]:
-    """Sweep `number` of the run with this seed: its key is the seed's, folded with the number."""
-    return sweep(jax.random.fold_in(jax.random.key(seed), number), *arguments, lines=lines)
+def look(
+    positions: Float[Array, "n 2"], model: Model, lines: Lines, sides: Int[Array, "n 2 candidates"]
+) -> tuple[Survey, Float[Array, "n 2 candidates"]]:
+    """Measure a whole tissue, and how clear of each cell its candidates are."""
+    _, seen = measure_cells(positions, model.tube, lines, sides)
+    return seen, clearance(positions, model.tube, lines, sides, seen)
+
+
+def play(
+    seed: Int[Array, ""],
+    first: Int[Array, ""],
+    state: TissueState,
+    model: Model,
+    temperatures: Float[Array, "sweeps"],
+    near: Neighborhoods,
+    plan: tuple[Int[Array, "sweeps rounds width"], Int[Array, "sweeps"]],
+    lines: Lines,
+) -> tuple[TissueState, Trail]:
+    """Sweeps `first`, `first` + 1, ... of the run with this seed: each has the seed's key, folded with its number.
+
+    A sweep without rounds is none: so fewer sweeps than temperatures need no program of their own.
+    """
+
+    def one(state: TissueState, this: tuple) -> tuple[TissueState, Trail]:
+        number, temperature, rounds, count = this
+        key = jax.random.fold_in(jax.random.key(seed), number)
+        state, info = sweep(key, state, model, temperature, near, rounds, count, lines)
+        positions = jnp.stack([state.place.axial, state.place.angle], axis=-1)
+        return state, Trail(state.volume, state.lateral_area, positions, info)
+
+    numbers = first + jnp.arange(len(temperatures))
+    return jax.lax.scan(one, state, (numbers, temperatures, *plan))
 
 
 def energy_terms(cells: CellGeometry, model: Model) -> tuple[Array, Array, Array]:
@@ -139,61 +191,87 @@ class Annealer:
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
         """The state before the first sweep."""
         begin = time.perf_counter()
-        tube, place = self.model.tube, jnp.asarray(positions, jnp.result_type(float))
-        lists = self._fit(find_candidates(place, tube), place)
-        lines = plan_lines(tube, len(place), self.resolution, REACH)
+        place = jnp.asarray(positions, jnp.result_type(float))
+        lists = self._fit(find_candidates(place, self.model.tube), place)
         self.compile_seconds += time.perf_counter() - begin
-        state = AnnealState(0, np.asarray(place), lists, lines.circle, lines.half)
-        while self._measure(state).overflow:
-            state = self._widen(state)
-        return state
+        return self._renew(AnnealState(0, np.asarray(place), lists))
 
     def record(self, state: AnnealState) -> SweepRecord:
         """The row of a state as it is, such as the initial one."""
-        return self._row(state.sweep, self._measure(state).tissue, None, 0.0, 0.0)
+        cells = self._measure(state).cells
+        return self._rows(state.sweep, (cells.volume[None], cells.lateral_area[None]), None, 0.0)[0]
 
-    def advance(self, state: AnnealState) -> tuple[AnnealState, SweepRecord]:
-        """One sweep: a move for every cell; the new state and its row."""
+    def advance(
+        self, state: AnnealState
+    ) -> tuple[AnnealState, list[SweepRecord], Float[np.ndarray, "sweeps n 2"]]:
+        """The sweeps up to the next that `SPAN` divides, or the schedule's last: a move for every cell in each.
+
+        The new state, a row for each sweep, and the backbones after each.
+        """
         begin, compiled = time.perf_counter(), self.compile_seconds
-        rounds = self._rounds(state)
-        after, info, drift = self._play(state, rounds)
-        after = after._replace(sweep=state.sweep + 1)
-        measured = self._measure(after)
-        seconds = time.perf_counter() - begin - (self.compile_seconds - compiled)
-        return after, self._row(after.sweep, measured.tissue, info, seconds, drift)
+        sweeps = min(SPAN - state.sweep % SPAN, len(self.temperatures) - state.sweep)
+        after, trail, drift = self._play(state, self._rounds(state), sweeps)
+        seconds = (time.perf_counter() - begin - (self.compile_seconds - compiled)) / sweeps
+        rows = self._rows(state.sweep + 1, (trail.volume, trail.lateral_area), trail.info, seconds)
+        rows[-1] = rows[-1]._replace(drift=drift)
+        return after, rows, trail.positions
 
     def _play(
-        self, state: AnnealState, rounds: Int[np.ndarray, "rounds width"]
-    ) -> tuple[AnnealState, SweepInfo, float]:
-        """Play the rounds on one set of candidate lists; in two halves where the lists turn out too short."""
-        measured = self._measure(state)
-        capacity = -(-len(rounds) // CAPACITY) * CAPACITY
-        plan = np.pad(rounds, ((0, capacity - len(rounds)), (0, 0)), constant_values=-1)
-        temperature = np.asarray(self.temperatures[state.sweep], measured.tissue.volume.dtype)
-        draw, order = (np.uint32(self.seed), np.int32(state.sweep)), (plan, np.int32(len(rounds)))
-        tissue, info = self._run(
-            numbered_sweep,
-            *draw,
-            measured.tissue,
-            self.model,
-            temperature,
-            measured.near,
-            *order,
-            lines=_lines(state),
+        self, state: AnnealState, plan: list[Int[np.ndarray, "rounds width"]], sweeps: int
+    ) -> tuple[AnnealState, Trail, float]:
+        """Play the plan's rounds, sweep by sweep, on one set of candidate lists; in two halves where the lists
+        turn out too short."""
+        measured, n = self._measure(state), len(state.positions)
+        capacity = -(-max(map(len, plan)) // CAPACITY) * CAPACITY
+        padded_plan = np.full((SPAN, capacity, plan[0].shape[1]), -1, np.int32)
+        counts = np.zeros(SPAN, np.int32)
+        temperatures = np.zeros(SPAN, measured.cells.volume.dtype)
+        for k in range(sweeps):
+            padded_plan[k, : len(plan[k])], counts[k] = plan[k], len(plan[k])
+            temperatures[k] = self.temperatures[state.sweep + k]
+        near = self._near(measured)
+        lines, wide = (self._plan(n, reach) for reach in (NARROW, REACH))
+        tissue = self._run(tissue_state, state.positions, measured.seen, lines, wide)
+        draw = np.uint32(self.seed), np.int32(state.sweep)
+        tissue, trail = self._run(
+            play, *draw, tissue, self.model, temperatures, near, (padded_plan, counts), lines
         )
-        positions = np.stack([tissue.place.axial, tissue.place.angle], axis=-1)
-        after = self._renew(state._replace(positions=positions))
-        if info.overflow or self._measure(after).overflow:
-            return self._play(self._widen(state), rounds)
-        fresh = self._measure(after).tissue
-        stale = max(np.abs(np.subtract(a, b)).max() for a, b in zip(fresh[1:3], tissue[1:3], strict=True))
-        if stale > self._exactness and len(rounds) > 1:
-            half = len(rounds) // 2
-            middle, first, drift = self._play(state, rounds[:half])
-            after, second, more = self._play(middle, rounds[half:])
-            return after, jax.tree.map(lambda a, b: a + b, first, second), max(drift, more)
-        energy, carried = (self._energies(cells)[0] for cells in (fresh, tissue))
-        return after, jax.device_get(info), abs(energy - carried) / max(abs(energy), abs(carried), 1e-300)
+        trail = jax.tree.map(lambda leaf: np.asarray(leaf[:sweeps]), trail)
+        after = self._renew(state._replace(sweep=state.sweep + sweeps, positions=trail.positions[-1]))
+        fresh = self._measure(after).cells
+        stale = max(
+            float(np.abs(np.subtract(a, b[-1])).max())
+            for a, b in ((fresh.volume, trail.volume), (fresh.lateral_area, trail.lateral_area))
+        )
+        if stale > self._exactness and (sweeps > 1 or len(plan[0]) > 1):
+            return self._play_halves(state, plan, sweeps)
+        energy = [
+            self._energies(*sizes)[0][-1]
+            for sizes in ((fresh.volume[None], fresh.lateral_area[None]), trail[:2])
+        ]
+        return after, trail, abs(energy[0] - energy[1]) / max(*map(abs, energy), 1e-300)
+
+    def _play_halves(self, state: AnnealState, plan: list, sweeps: int) -> tuple[AnnealState, Trail, float]:
+        """Half of the sweeps, or of the one sweep's rounds, and the other half on new lists."""
+        if sweeps > 1:
+            half = sweeps // 2
+            middle, first, drift = self._play(state, plan[:half], half)
+            after, second, more = self._play(middle, plan[half:], sweeps - half)
+            trail = jax.tree.map(lambda a, b: np.concatenate([a, b]), first, second)
+            return after, trail, max(drift, more)
+        half = len(plan[0]) // 2
+        middle, first, drift = self._play(state, [plan[0][:half]], 1)
+        after, second, more = self._play(middle._replace(sweep=state.sweep), [plan[0][half:]], 1)
+        info = jax.tree.map(lambda a, b: a + b, first.info, second.info)
+        return after, second._replace(info=info), max(drift, more)
+
+    def _near(self, measured: Measured) -> Neighborhoods:
+        """The candidates of a few sweeps, of those measured."""
+        sides = nearest_sides(measured.sides, measured.clear, min(CANDIDATES, measured.sides.shape[2]))
+        lists = around(sides)
+        width = -(-lists.shape[1] // 8) * 8
+        self._around = max(getattr(self, "_around", 0), width)
+        return Neighborhoods(padded(lists, self._around), sides)
 
     def _renew(self, state: AnnealState) -> AnnealState:
         """New candidate lists for backbones that have moved."""
@@ -204,85 +282,87 @@ class Annealer:
             lists = self._fit(lists, state.positions)
         return state._replace(neighbors=padded(lists, width))
 
-    def _widen(self, state: AnnealState) -> AnnealState:
-        """Wider windows of lines, for a tissue whose cells have outgrown them."""
-        half = [min((c + 1) // 2, -(-3 * h // 2)) for c, h in zip(state.circle, state.half, strict=True)]
-        return state._replace(half=tuple(half))
+    def _plan(self, cells: int, reach: float) -> Lines:
+        return plan_lines(self.model.tube, cells, self.resolution, reach)
 
     def _measure(self, state: AnnealState) -> "Measured":
         """Measure the whole tissue on the state's lists and lines; the last result is kept."""
         if self._last and all(a is b for a, b in zip(self._last[0][1:], state[1:], strict=True)):
             return self._last[1]
-        lists = state.neighbors
-        sides = sided(lists, state.positions, self.model.tube, 2 * float(move_bound(self.model, len(lists))))
-        near = Neighborhoods(lists, padded(sides, _side_width(lists.shape[1])))
-        tissue, survey = self._run(tissue_state, state.positions, self.model, near, lines=_lines(state))
-        contacts = contact_graph(state.positions, self.model.tube, np.asarray(near.sides), survey)
-        self._last = state, Measured(tissue, near, contacts, bool(np.any(survey.overflow)))
+        lists, tube = state.neighbors, self.model.tube
+        sides = padded(sided(lists, state.positions, tube), _side_width(lists.shape[1]))
+        lines = self._plan(len(lists), REACH)
+        seen, clear = self._run(look, state.positions, self.model, lines, sides)
+        self._last = state, Measured(seen, sides, np.asarray(clear), contact_graph(sides, seen.touched))
         return self._last[1]
 
     def _fit(
         self, lists: Int[np.ndarray, "n candidates"], positions: Float[Array | np.ndarray, "n 2"]
     ) -> Int[np.ndarray, "n candidates"]:
         """Candidate lists padded with room to grow, in both their forms: shapes then last for the run."""
-        margin = 2 * float(move_bound(self.model, len(lists)))
         width = -(-int(1.15 * lists.shape[1]) // 8) * 8
-        while _side_width(width) < 1.1 * sided(lists, positions, self.model.tube, margin).shape[2]:
+        while _side_width(width) < 1.1 * sided(lists, positions, self.model.tube).shape[2]:
             width += 8
         return padded(lists, width)
 
-    def _rounds(self, state: AnnealState) -> Int[np.ndarray, "rounds width"]:
-        """The cells in the order they are visited: one by one, or in independent sets."""
+    def _rounds(self, state: AnnealState) -> list[Int[np.ndarray, "rounds width"]]:
+        """For each sweep of a chunk the cells in the order they are visited: one by one, or in independent sets."""
         n = len(state.positions)
         if self.algorithm == "mh":
-            return np.random.default_rng([self.seed, state.sweep]).permutation(n).astype(np.int32)[:, None]
+            orders = (np.random.default_rng([self.seed, state.sweep + k]).permutation(n) for k in range(SPAN))
+            return [order.astype(np.int32)[:, None] for order in orders]
         if self.conflicts == "8-phi":
             apical = np.asarray(self.model.tube.embed(jnp.asarray(state.positions)).apical)
             radius = float(covering_radius(jnp.asarray(state.positions), self.model.tube))
             graph = distance_conflicts(apical, 8 * radius)
         else:
             graph = hop_conflicts(self._measure(state).contacts, int(self.conflicts[0]))
-        return color(graph, max(1, round(n / ROUNDS)))
+        return SPAN * [color(graph, max(1, round(n / ROUNDS)))]
 
-    def _run(self, function: Callable, *arguments: Any, **static: Lines) -> Any:
+    def _run(self, function: Callable, *arguments: Any) -> Any:
         """Call a jitted function, compiled beforehand so that its compile time is known."""
         arguments = jax.tree.map(jnp.asarray, arguments)
-        shapes = tuple((leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(arguments))
-        known = (function, *static.values(), shapes)
+        leaves, structure = jax.tree.flatten(arguments)
+        known = (function, structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves))
         if known not in self._compiled:
             begin = time.perf_counter()
-            jitted = jax.jit(function, static_argnames=tuple(static))
-            self._compiled[known] = jitted.lower(*arguments, **static).compile()
+            self._compiled[known] = jax.jit(function).lower(*arguments).compile()
             self.compile_seconds += time.perf_counter() - begin
         return jax.block_until_ready(self._compiled[known](*arguments))
 
-    def _energies(self, tissue: TissueState) -> list[float]:
-        """The energy, and the paper's two terms of it, each summed in double precision."""
-        cells = CellGeometry(tissue.volume, tissue.lateral_area)
-        return [float(np.sum(term, dtype=float)) for term in self._run(energy_terms, cells, self.model)]
-
-    def _row(
-        self, number: int, tissue: TissueState, info: SweepInfo | None, seconds: float, drift: float
-    ) -> SweepRecord:
-        energy, volume_energy, area_energy = self._energies(tissue)
-        index = min(max(number - 1, 0), len(self.temperatures) - 1)
-        return SweepRecord(
-            sweep=number,
-            energy=energy,
-            volume_energy=volume_energy,
-            area_energy=area_energy,
-            temperature=float(self.temperatures[index]) if len(self.temperatures) else 0.0,
-            acceptance=int(info.accepted) / len(tissue.volume) if info else 0.0,
-            rounds=int(info.rounds) if info else 0,
-            collisions=int(info.collisions) if info else 0,
-            seconds=seconds,
-            left_cell=int(info.left_cell) if info else 0,
-            drift=drift,
+    def _energies(self, volume: np.ndarray, lateral_area: np.ndarray) -> np.ndarray:
+        """The energy, and the paper's two terms of it, of each sweep, summed in double precision, [3, sweeps]."""
+        cells = CellGeometry(volume, lateral_area)
+        return np.array(
+            [np.sum(term, axis=1, dtype=float) for term in self._run(energy_terms, cells, self.model)]
         )
 
-
-def _lines(state: AnnealState) -> Lines:
-    return Lines(state.circle, state.half)
+    def _rows(
+        self, first: int, sizes: tuple[np.ndarray, np.ndarray], info: SweepInfo | None, seconds: float
+    ) -> list[SweepRecord]:
+        count, cells = sizes[0].shape
+        padding = ((0, SPAN - count), (0, 0)) if info else ((0, 0), (0, 0))
+        terms = self._energies(*(np.pad(size, padding, mode="edge") for size in sizes))
+        rows = []
+        for k, (energy, volume_energy, area_energy) in enumerate(terms.T[:count].tolist()):
+            index = min(max(first + k - 1, 0), len(self.temperatures) - 1)
+            did = SweepInfo(*(leaf[k].item() for leaf in info)) if info else SweepInfo(0, 0, 0, 0, 0.0)
+            rows.append(
+                SweepRecord(
+                    sweep=first + k,
+                    energy=energy,
+                    volume_energy=volume_energy,
+                    area_energy=area_energy,
+                    temperature=float(self.temperatures[index]) if len(self.temperatures) else 0.0,
+                    acceptance=did.accepted / cells,
+                    rounds=did.rounds,
+                    collisions=did.collisions,
+                    seconds=seconds,
+                    left_cell=did.left_cell,
+                    drift=0.0,
+                )
+            )
+        return rows
 
 
 def _side_width(width: int) -> int:

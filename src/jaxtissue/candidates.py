@@ -10,18 +10,24 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from scipy import sparse
 
 from jaxtissue.cells import (
+    BLOCK,
+    FAR,
     LEVEL,
     CellGeometry,
+    Grid,
     Posts,
     Survey,
     measure_cells,
+    meeting,
     posts,
     see_angles,
+    see_lines,
     see_rivals,
+    settled,
     stop,
     walls,
 )
@@ -32,7 +38,7 @@ REACH = 2.5  # mean cell widths on either side of a backbone that a first window
 SKIN = 2.5  # mean cell widths within which cells three hops apart are candidates too
 TILES = 1e-4  # relative defect of the lengths along a line above which lists are taken as incomplete
 
-_measure = jax.jit(measure_cells, static_argnames="lines")
+_measure = jax.jit(measure_cells)
 
 
 def measure_tissue(
@@ -41,48 +47,25 @@ def measure_tissue(
     """Sizes of every cell of a tissue, with its surfaces, and the defect of an exact sum over all cells.
 
     The defect is the largest relative error of the cells' lengths summed along a line, `tiling_defect`: 0 to
-    rounding unless a candidate list overflowed. Lists and windows are grown until nothing overflows, so this
-    takes concrete arrays; inside `jit` call `measure_cells`. Positions as (axial, angle), [n, 2].
+    rounding unless a candidate list overflowed. Lists are grown until nothing overflows, so this takes
+    concrete arrays; inside `jit` call `measure_cells`. Positions as (axial, angle), [n, 2].
     """
     sides = sided(find_candidates(positions, tube), positions, tube)
-    cells, _, _ = survey_tissue(positions, tube, sides, resolution, surfaces=True)
-    return cells, float(tiling_defect(positions, tube, jnp.asarray(sides)))
-
-
-def survey_tissue(
-    positions: Float[Array | np.ndarray, "n 2"],
-    tube: Tube,
-    sides: Int[np.ndarray, "n 2 side_candidates"],
-    resolution: Resolution,
-    surfaces: bool = False,
-) -> tuple[CellGeometry, Survey, Lines]:
-    """Measure every cell, in windows of lines widened until they hold all of it."""
-    for reach in (REACH, 2 * REACH, math.inf):
-        lines = plan_lines(tube, len(positions), resolution, reach, surfaces)
-        cells, survey = _measure(positions, tube, lines, jnp.asarray(sides))
-        if not survey.overflow.any():
-            break
-    return cells, survey, lines
+    lines = plan_lines(tube, len(positions), resolution, REACH, surfaces=True)
+    sizes, _ = _measure(positions, tube, lines, jnp.asarray(sides))
+    return sizes, float(tiling_defect(positions, tube, jnp.asarray(sides)))
 
 
 def find_candidates(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube
 ) -> Int[np.ndarray, "n candidates"]:
-    """Complete candidate lists, padded with the cell itself, from the nearest backbones.
-
-    As many nearest are taken as it needs for the cells' intervals to tile every line; contacts measured with
-    them give the lists.
-    """
+    """Complete candidate lists: as many nearest backbones as it needs for the cells to tile every line."""
     count = 64
     while True:
-        everyone = count >= len(positions) - 1
-        sides = sided(padded(nearest(positions, tube, count), 1), positions, tube)
-        if everyone or tiling_defect(positions, tube, sides) < TILES:
-            _, survey, _ = survey_tissue(positions, tube, sides, PRESETS["draft"], surfaces=True)
-            lists = hop_lists(contact_graph(positions, tube, sides, survey), positions, tube)
-            found = padded(sided(lists, positions, tube), sides.shape[2])  # the same shape compiles once
-            if everyone or tiling_defect(positions, tube, found) < TILES:
-                return lists
+        lists = nearest(positions, tube, count)
+        sides = padded(sided(lists, positions, tube), min(count, 64))  # few shapes, so few compilations
+        if count >= len(positions) - 1 or tiling_defect(positions, tube, sides) < TILES:
+            return lists
         count *= 2
 
 
@@ -114,25 +97,13 @@ def nearest(
 
 
 def contact_graph(
-    positions: Float[Array | np.ndarray, "n 2"],
-    tube: Tube,
-    sides: Int[np.ndarray, "n 2 side_candidates"],
-    survey: Survey,
+    sides: Int[np.ndarray, "n 2 candidates"], touched: Bool[ArrayLike, "n 2 candidates"]
 ) -> sparse.csr_array:
-    """Who stops whom, as a symmetric [n, n] matrix, on the lines where the cells were surveyed."""
-    by, n = np.asarray(survey.by), len(positions)
-    line, side, cell = np.nonzero(by >= 0)
-    other = sides[cell, side, by[line, side, cell]]
-    place = np.asarray(positions, float)
-    gap, turn = place[sides, 0] - place[:, None, None, 0], place[sides, 1] - place[:, None, None, 1]
-    level = (np.abs(gap) <= 2 * LEVEL * float(tube.apical_radius)) & (sides != np.arange(n)[:, None, None])
-    beside = (
-        np.abs(np.sin(turn / 2)) <= 1.01 * np.sin(np.asarray(survey.limit).max(axis=0))[:, None, None] + 1e-6
-    )
-    rows, _, columns = np.nonzero(level & beside)
-    rows, columns = np.r_[cell, rows], np.r_[other, sides[level & beside]]
-    graph = sparse.coo_array((np.ones(len(rows), bool), (rows, columns)), shape=(n, n)).tocsr()
-    return (graph + graph.T).astype(bool).tocsr()
+    """Who stops whom, as a symmetric [n, n] matrix."""
+    touched, n = np.asarray(touched), len(sides)
+    cells, others = np.nonzero(touched)[0], sides[touched]
+    graph = sparse.coo_array((np.ones(len(cells), bool), (cells, others)), shape=(n, n)).tocsr()
+    return (graph + graph.T).tocsr()
 
 
 def within_hops(graph: sparse.csr_array, hops: int) -> sparse.csr_array:
@@ -188,6 +159,77 @@ def padded(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.nda
     return np.concatenate([lists, more], axis=-1)
 
 
+def clearance(
+    positions: Float[Array, "n 2"],
+    tube: Tube,
+    lines: Lines,
+    sides: Int[Array, "n 2 candidates"],
+    seen: Survey,
+) -> Float[Array, "n 2 candidates"]:
+    """How far each candidate's wall stays clear of the cell: the least distance, to first order, over lines.
+
+    Squared; infinite where there is no wall to face. Who is far from bounding a cell now will be for a while.
+    """
+
+    n, dtype = len(positions), positions.dtype
+    blocks = -(-n // BLOCK)
+    width = -(-n // blocks)
+    spare = ((0, blocks * width - n), (0, 0), (0, 0))
+    place, lists, reaches = posts(positions), jnp.pad(sides, spare), jnp.pad(seen.reach, spare)
+    grid = jax.tree.map(lambda column: column[:, 0], see_lines(lines, tube, dtype))
+
+    def block(start: Array) -> Array:
+        which = start + jnp.arange(width)
+        those = lists[which].transpose(2, 1, 0)
+        own, others = (Posts(*(column[at] for column in place)) for at in (which, those))
+        rivals = see_rivals(own, others, those < which, tube)
+
+        def nearer(least: Array, line: tuple[Grid, Array]) -> tuple[Array, None]:
+            at, reach = line
+            away = jnp.maximum(meeting(at, rivals, tube) - reach, 0) * 2 * rivals.half
+            foot = jnp.maximum(at.z * rivals.cosine + at.y * rivals.sine, tube.apical_radius)
+            feet = 4 * rivals.half**2 + foot**2 + at.foot**2 - 2 * foot * at.foot * rivals.cosine
+            return jnp.where(reach > -jnp.inf, jnp.minimum(least, away**2 / feet), least), None
+
+        far = jnp.full(rivals.half.shape, jnp.inf, dtype)
+        least, _ = jax.lax.scan(nearer, far, (grid, reaches[which].transpose(2, 1, 0)))
+        return jnp.where(rivals.half < FAR, least, jnp.inf).transpose(2, 1, 0)
+
+    least = jax.lax.map(block, width * jnp.arange(blocks)).reshape(blocks * width, *sides.shape[1:])
+    return jnp.where(seen.touched, -1, least[:n])
+
+
+def nearest_sides(
+    sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"], count: int
+) -> Int[np.ndarray, "n 2 count"]:
+    """The `count` candidates on each side whose walls are nearest to the cell."""
+    if sides.shape[2] > count:
+        kept = np.argpartition(clear, count - 1, axis=2)[..., :count]
+        sides, clear = (np.take_along_axis(table, kept, axis=2) for table in (sides, clear))
+    own = np.arange(len(sides), dtype=sides.dtype)[:, None, None]
+    return padded(np.where(np.isfinite(clear), sides, own), count)
+
+
+def around(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n around"]:
+    """Of each cell all who have it among their candidates, and its own; padded with itself."""
+    n = len(sides)
+    one = np.repeat(np.arange(n), sides[0].size), sides.reshape(-1)
+    graph = sparse.coo_array((np.ones(len(one[0]), bool), one), shape=(n, n)).tocsr()
+    graph = (graph + graph.T).tocsr()
+    graph.setdiag(False)
+    graph.eliminate_zeros()
+    return packed_rows(graph)
+
+
+def packed_rows(graph: sparse.csr_array) -> Int[np.ndarray, "n width"]:
+    """The columns of each row as a list, padded with the row's own number."""
+    sizes = np.diff(graph.indptr)
+    lists = np.repeat(np.arange(len(sizes), dtype=np.int32)[:, None], max(sizes.max(initial=0), 2), axis=1)
+    rows = np.repeat(np.arange(len(sizes)), sizes)
+    lists[rows, np.arange(len(rows)) - np.repeat(graph.indptr[:-1], sizes)] = graph.indices
+    return lists
+
+
 @jax.jit
 def tiling_defect(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube, sides: Int[Array | np.ndarray, "n 2 candidates"]
@@ -199,16 +241,13 @@ def tiling_defect(
     """
     dtype = positions.dtype
     share, angle = jnp.linspace(0, 1, 5, dtype=dtype), jnp.arange(16, dtype=dtype) * (2 * np.pi / 16) + 0.123
-    radius = jnp.repeat(tube.apical_radius + share * (tube.basal_radius - tube.apical_radius), 16)[
-        :, None, None
-    ]
-    place = posts(positions)
-    own, others = place, Posts(*(column[sides.transpose(2, 1, 0)] for column in place))
-    offset = jnp.mod(jnp.tile(angle, 5)[:, None, None] - own.angle + np.pi, 2 * np.pi) - np.pi
-    ends = jnp.stack([own.axial, tube.length - own.axial])
-    rivals, limit = see_rivals(own, others, sides.transpose(2, 1, 0) != jnp.arange(len(positions)), tube)
+    radius = jnp.repeat(tube.apical_radius + share * (tube.basal_radius - tube.apical_radius), 16)[:, None]
+    place, lists = posts(positions), sides.transpose(2, 1, 0)
+    own, others = place, Posts(*(column[lists] for column in place))
+    offset = jnp.mod(jnp.tile(angle, 5)[:, None] - own.angle + np.pi, 2 * np.pi) - np.pi
+    ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
+    rivals = settled(lambda: see_rivals(own, others, lists < jnp.arange(len(positions)), tube), truth)
     grid = see_angles(radius, offset, tube)
-    by, rival = stop(grid, rivals, ends, tube, own.axial[0] > -1)
-    length = walls(by, rival, ends, grid, tube).reach.sum(axis=1)
-    inside = (offset[:, 0] >= -limit[0]) & (offset[:, 0] < limit[1])
-    return jnp.abs(jnp.where(inside, jnp.maximum(length, 0), 0).sum(axis=1) / tube.length - 1).max()
+    by = stop(grid, rivals, ends, tube, truth)
+    length = walls(by, rivals, ends, grid, tube, truth).reach.sum(axis=1)
+    return jnp.abs(jnp.maximum(length, 0).sum(axis=1) / tube.length - 1).max()

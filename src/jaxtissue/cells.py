@@ -14,16 +14,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from jaxtissue.lines import Lines
 from jaxtissue.tube import Tube
 
-LEVEL = 1e-4  # a wall this close to parallel to the axis is taken as exactly radial
+LEVEL = 1e-3  # slope against the axis of the walls that are taken for those still closer to parallel to it
 T = TypeVar("T")
+Done = TypeVar("Done")
 END, NONE = -1, -2
 FAR = 1e30  # beyond any tube, and finite: its lowest bits may be changed
 BLOCK = 128  # cells measured at once: what fits the processor's cache
+CHUNK = 16  # candidates compared in one unrolled loop
 
 
 class CellGeometry(eqx.Module):
@@ -38,13 +40,13 @@ class CellGeometry(eqx.Module):
     touches_end: Bool[Array, "cells"] | None = None
 
 
-class Survey(NamedTuple):
-    """What measuring some cells tells beside their sizes."""
+class Window(NamedTuple):
+    """Cells measured within one window of lines."""
 
+    sizes: CellGeometry
     reach: Float[Array, "lines 2 cells"]  # behind and ahead; -inf on lines that do not bear on the cell
     by: Int[Array, "lines 2 cells"]  # the candidate that stops the cell there; END the tube; NONE none bears
-    limit: Float[Array, "2 cells"]  # angles within which level rivals keep the cell, else at least pi
-    overflow: Bool[Array, "cells"]  # the cell reaches the edge of its window of lines
+    onward: Bool[Array, "2 cells"]  # the cell goes on before the first lines, or after the last
 
 
 class Posts(NamedTuple):
@@ -57,19 +59,20 @@ class Posts(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Lines as seen from a backbone: z, y, own foot s and squared distance f, each [lines, 1, 1 or cells]."""
+    """Lines as seen from a backbone, [lines, 1 or cells]."""
 
     radius: Array
     z: Array
     y: Array
-    foot: Array
-    square: Array
+    foot: Array  # radius of the own foot s
+    square: Array  # squared distance f to it
 
 
 class Rivals(NamedTuple):
     """Each cell against its candidates behind and ahead, [candidates, 2, cells]; half is FAR for no rival."""
 
     half: Array  # |x_j - x_i| / 2
+    slant: Array  # 1 / (4 half)
     cosine: Array  # of t_j - t_i
     sine: Array
 
@@ -93,16 +96,21 @@ def settled(compute: Callable[[], T], truth: Array) -> T:
     return jax.lax.cond(truth, compute, lambda: empty)
 
 
+def larger(first: Array, second: Array | float) -> Array:
+    """The larger of two, in one instruction: `jnp.maximum` takes more to treat what is not a number."""
+    return jnp.where(first > second, first, second)
+
+
 def posts(positions: Float[Array | np.ndarray, "... 2"]) -> Posts:
     """The backbones at (axial, angle) positions."""
     angle = positions[..., 1]
     return Posts(jnp.asarray(positions[..., 0]), jnp.asarray(angle), jnp.cos(angle), jnp.sin(angle))
 
 
-def see_lines(lines: Lines, tube: Tube, dtype: np.dtype) -> Grid:
+def see_lines(lines: Lines, tube: Tube, dtype: np.dtype, shift: Array | int = 0) -> Grid:
     """The lines round each backbone."""
-    radius = lines.radii(tube)[0].astype(dtype)[lines.layer][:, None, None]
-    return see_angles(radius, jnp.asarray(lines.offset, dtype)[:, None, None], tube)
+    radius = lines.radii(tube)[0].astype(dtype)[lines.layer][:, None]
+    return see_angles(radius, lines.offset(dtype, shift)[:, None], tube)
 
 
 def see_angles(radius: Array, offset: Array, tube: Tube) -> Grid:
@@ -112,139 +120,212 @@ def see_angles(radius: Array, offset: Array, tube: Tube) -> Grid:
     return Grid(radius, z, y, foot, y * y + (foot - z) ** 2)
 
 
-def see_rivals(own: Posts, others: Posts, real: Array, tube: Tube) -> tuple[Rivals, Array]:
-    """The rivals on either side, and how far in angle level rivals let each cell extend, [2, cells].
+def see_rivals(own: Posts, others: Posts, first: Array, tube: Tube) -> Rivals:
+    """The rivals on either side.
 
-    A rival is level if its wall would be parallel to the axis: then the wall is the radial plane half way.
+    No wall may be parallel to the axis: of two backbones at the same height the one that is `first` counts as
+    lying behind, and all are taken as LEVEL times their distance apart along the axis.
     """
-    ahead = (others.axial - own.axial) * jnp.array([-1.0, 1.0], own.axial.dtype)[:, None]
     cosine = others.cosine * own.cosine + others.sine * own.sine
     sine = others.sine * own.cosine - others.cosine * own.sine
-    level = real & (ahead**2 <= (LEVEL * tube.apical_radius) ** 2 * (sine**2 + (1 - cosine) ** 2))
-    half = jnp.where(real & ~level & (ahead > 0), ahead / 2, FAR)
-    turn = others.angle - own.angle
-    turn = jnp.where(turn < 0, turn + 2 * np.pi, turn)
-    limit = jnp.stack([jnp.where(level, 2 * np.pi - turn, 2 * np.pi), jnp.where(level, turn, 2 * np.pi)])
-    return Rivals(half, cosine, sine), limit.min(axis=(1, 2)) / 2
+    gap = others.axial - own.axial
+    is_ahead = (gap > 0) | ((gap == 0) & first)
+    chord = jnp.sqrt(sine**2 + (1 - cosine) ** 2)
+    apart = jnp.maximum(jnp.abs(gap), LEVEL * tube.apical_radius * chord)
+    on_side = is_ahead == jnp.array([False, True])[:, None]
+    half = jnp.where(on_side & (chord + apart > 0), apart / 2, FAR)
+    return Rivals(half, 0.25 / half, cosine, sine)
 
 
-def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> tuple[Array, Rivals]:
-    """Who stops each cell on each line, behind and ahead, and that rival, [lines, 2, cells]; END: the tube.
+def meeting(grid: Grid, rival: Rivals, tube: Tube) -> Array:
+    """The reach h = |dx| / 2 + (f_j - f_i) / (2 |dx|) against rivals, on lines."""
+    z, y = grid.z * rival.cosine + grid.y * rival.sine, grid.y * rival.cosine - grid.z * rival.sine
+    inward = larger(tube.apical_radius - z, 0.0)
+    return rival.half + (y * y + inward * inward - grid.square) * rival.slant
 
-    The candidate's number rides in the lowest bits of its reach, so that one minimum finds both (two outputs
+
+def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> Int[Array, "lines 2 cells"]:
+    """Who stops each cell on each line, behind and ahead; END: the tube.
+
+    The candidate's number rides in the lowest bits of its reach, so that one value is carried along (two
     would each repeat the loop). That blurs the choice, not the reach, by about 1e-5.
     """
     candidates, _, cells = rivals.half.shape
     bits = max(candidates - 1, 1).bit_length()
-    integer = jnp.int64 if rivals.half.dtype == jnp.float64 else jnp.int32
+    integer = jnp.int64 if ends.dtype == jnp.float64 else jnp.int32
     recast = jax.lax.bitcast_convert_type
+    line = jax.tree.map(lambda table: table[:, None], grid)
 
-    def least_reach() -> Array:
-        line = jax.tree.map(lambda a: a[:, None], grid)
-        z = line.z * rivals.cosine + line.y * rivals.sine
-        y = line.y * rivals.cosine - line.z * rivals.sine
-        foot = jnp.maximum(z, tube.apical_radius)
-        slant = jnp.where(rivals.half < FAR, 0.25 / rivals.half, 0)
-        reach = rivals.half + (y * y + (foot - z) ** 2 - line.square) * slant
-        number = jnp.arange(candidates, dtype=integer)[:, None, None]
-        return recast((recast(reach, integer) & (-1 << bits)) | number, reach.dtype).min(axis=1)
+    def nearer(least: Array, among: Rivals, first: Array | int) -> Array:
+        for number in range(len(among.half)):
+            reach = meeting(line, jax.tree.map(lambda table, at=number: table[at], among), tube)
+            coded = recast((recast(reach, integer) & (-1 << bits)) | (first + number), ends.dtype)
+            least = jnp.where(coded < least, coded, least)
+        return least
 
-    least = settled(least_reach, truth)
+    start = jnp.broadcast_to(ends, (len(grid.z), 2, cells))
+    if candidates <= CHUNK:
+        least = settled(lambda: nearer(start, rivals, 0), truth)
+    else:
+        chunks = -(-candidates // CHUNK)
+        spare = ((0, chunks * CHUNK - candidates), (0, 0), (0, 0))
+        nobody = Rivals(FAR, 0.0, 0.0, 0.0)
+        tables = jax.tree.map(
+            lambda table, no: jnp.pad(table, spare, constant_values=no).reshape(chunks, CHUNK, 2, cells),
+            rivals,
+            nobody,
+        )
+        first = CHUNK * jnp.arange(chunks, dtype=integer)
+        least, _ = jax.lax.scan(lambda least, some: (nearer(least, *some), None), start, (tables, first))
     winner = (recast(least, integer) & ((1 << bits) - 1)).astype(jnp.int32)
-    # one gather of rows: three gathers along the candidates cost 2.5 times as much
-    rows = jnp.stack(rivals, axis=-1).reshape(-1, len(rivals))
-    facing = rows[winner * 2 * cells + jnp.arange(2 * cells).reshape(2, cells)]
-    return jnp.where(least < ends, winner, END), Rivals(*jnp.moveaxis(facing, -1, 0))
+    return jnp.where(least < ends, winner, END)
 
 
-def walls(by: Array, rival: Rivals, ends: Array, grid: Grid, tube: Tube) -> Walls:
-    """Reach, slope and tilt of the walls that end each cell, against the rival there."""
-    half, cosine, sine = rival
-    z, y = grid.z * cosine + grid.y * sine, grid.y * cosine - grid.z * sine
-    foot = jnp.maximum(z, tube.apical_radius)
-    per_gap = jnp.where(by == END, 0, 0.5 / half)
-    reach = half + (y * y + (foot - z) ** 2 - grid.square) * per_gap / 2
-    slope = (foot * y - grid.foot * grid.y) * per_gap
-    tilt = (foot * z - grid.foot * grid.z) * per_gap
-    wall = (by != END).astype(half.dtype)
-    area = wall * jnp.sqrt(1 + (slope**2 + tilt**2) / grid.radius**2)
-    edge = wall * jnp.sqrt(1 + slope**2 / grid.radius**2)
-    return Walls(jnp.where(by == END, ends, reach), slope, area, edge)
+def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth: Array) -> Walls:
+    """Reach, slope and tilt of the walls that end each cell, against the rival there.
+
+    A rival is e^(i turn) / half, one complex number: gathering three real ones takes 3 times as long.
+    """
+    cells = by.shape[-1]
+    rival = (jax.lax.complex(rivals.cosine, rivals.sine) / rivals.half).ravel()
+    at = jnp.maximum(by, 0) * (2 * cells) + jnp.arange(2 * cells, dtype=by.dtype).reshape(2, cells)
+    facing = settled(lambda: rival.at[at].get(mode="promise_in_bounds"), truth)
+
+    def wall() -> Walls:
+        line, end = jax.tree.map(lambda table: table[:, None], grid), by == END
+        real, imaginary = jnp.where(end, 1, facing.real), jnp.where(end, 0, facing.imag)
+        half = jax.lax.rsqrt(real**2 + imaginary**2)
+        cosine, sine = real * half, imaginary * half
+        z, y = line.z * cosine + line.y * sine, line.y * cosine - line.z * sine
+        foot, per_gap = larger(z, tube.apical_radius), 0.5 / half
+        reach = half + (y * y + (foot - z) ** 2 - line.square) * per_gap / 2
+        slope = jnp.where(end, 0, (foot * y - line.foot * line.y) * per_gap)
+        tilt = (foot * z - line.foot * line.z) * per_gap
+        area = jnp.sqrt(1 + (slope**2 + tilt**2) / line.radius**2)
+        edge = jnp.sqrt(1 + slope**2 / line.radius**2)
+        return Walls(jnp.where(end, ends, reach), slope, *(jnp.where(end, 0, size) for size in (area, edge)))
+
+    return settled(wall, truth)
 
 
-def strips(wall: Walls, ends: Array, limit: Array, lines: Lines) -> tuple[Array, Array, Array, Array]:
-    """Between each line and the next, per cell: layer area / r, wall area per r dr, wall length per r, and
-    the length of radial walls of level rivals."""
-    dtype = wall.reach.dtype
-    step = jnp.asarray(lines.step, dtype)[:-1, None]
-    offset = jnp.asarray(lines.offset, dtype)[:-1, None]
-    per_step = jnp.where(step > 0, 1 / jnp.where(step > 0, step, 1), 0)
-    low = jnp.clip((-limit[0] - offset) * per_step, 0, 1)
-    high = jnp.clip((limit[1] - offset) * per_step, 0, 1)
-    before, after = (jax.tree.map(lambda a, c=cut: a[c], wall) for cut in (slice(None, -1), slice(1, None)))
-    rise, next_rise = before.slope * step[:, None], after.slope * step[:, None]
-    turn = rise - next_rise
-    meeting = (after.reach - next_rise - before.reach) / jnp.where(turn == 0, 1, turn)
-    bend = jnp.where(turn == 0, 0.5, jnp.clip(meeting, 0, 1))
+def strips(wall: Walls, tilt: Array, step: Array) -> Complex[Array, "strips cells"]:
+    """Between each line and the next, per cell: layer area / r + i x the integral of the walls' `tilt` / r.
 
-    def both(sides: Array) -> Array:
-        return sides[:, 0] + sides[:, 1]
+    Each side is the two walls' tangents up to where they meet. So three pieces, from 0 over the two meeting
+    points to 1, each with a width linear from end to end: its positive part is integrated. Two lines outside
+    the cell could only show a phantom of it and count nothing. One complex number, as two results would each
+    repeat the work.
+    """
+    step = step[:-1, None]
+    reach, tilt = (wall.reach[:-1], wall.reach[1:]), (tilt[:-1], tilt[1:])
+    rise = (wall.slope[:-1] * step[:, None], wall.slope[1:] * step[:, None])
+    turn = rise[0] - rise[1]
+    bend = jnp.clip((reach[1] - rise[1] - reach[0]) / jnp.where(turn == 0, 1e-30, turn), 0, 1)
+    early = bend[:, 0] <= bend[:, 1]
 
-    def width(at: Array, left: Array) -> Array:
-        from_left, from_right = before.reach + rise * at, after.reach - next_rise * (1 - at)
-        return both(jnp.minimum(jnp.where(left, from_left, from_right), ends))
+    def tangents(pair: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        """Sums over both sides before any meeting point, between the two, and after both."""
+        (behind, ahead), (next_behind, next_ahead) = ((side[:, 0], side[:, 1]) for side in pair)
+        between = jnp.where(early, next_behind + ahead, behind + next_ahead)
+        return behind + ahead, between, next_behind + next_ahead
 
-    first_bend, last_bend = jnp.minimum(bend[:, 0], bend[:, 1]), jnp.maximum(bend[:, 0], bend[:, 1])
-    # two lines outside the cell can only show a phantom of it: every piece holds its backbone's line
-    live = jnp.where((both(before.reach) > 0) | (both(after.reach) > 0), step, 0)
-    cuts = [jnp.clip(cut, low, high) for cut in (0.0, first_bend, last_bend, 1.0)]
-    lefts = (jnp.ones_like(bend, bool), bend >= last_bend[:, None], jnp.zeros_like(bend, bool))
-    layer_area = wall_area = wall_length = jnp.zeros_like(low)
-    for start, end, left in zip(cuts[:-1], cuts[1:], lefts, strict=True):
-        first, last = width(start[:, None], left), width(end[:, None], left)
-        filled = jnp.maximum(first, 0) + jnp.maximum(last, 0)
+    cuts = (0.0, jnp.minimum(bend[:, 0], bend[:, 1]), jnp.maximum(bend[:, 0], bend[:, 1]), 1.0)
+    bases, rises, tilts = tangents((reach[0], reach[1] - rise[1])), tangents(rise), tangents(tilt)
+    inside = (reach[0][:, 0] + reach[0][:, 1] > 0) | (reach[1][:, 0] + reach[1][:, 1] > 0)
+    layer_area = wall_size = jnp.zeros(())
+    for start, end, base, slope, leaning in zip(cuts, cuts[1:], bases, rises, tilts, strict=False):
+        first, last = base + slope * start, base + slope * end
         spread = jnp.abs(first) + jnp.abs(last)
-        inside = (end - start) * live * filled / jnp.where(spread > 0, spread, 1)
-        layer_area += inside * filled / 2
-        wall_area += inside * both(jnp.where(left, before.area, after.area))
-        wall_length += inside * both(jnp.where(left, before.edge, after.edge))
-    # each end of the limit falls in one strip, half open, even where it falls on a line
-    following = jnp.asarray(lines.offset, dtype)[1:, None]
-    starts = (limit[0] < np.pi) & (offset <= -limit[0]) & (-limit[0] < following) & (live > 0)
-    stops = (limit[1] < np.pi) & (offset <= limit[1]) & (limit[1] < following) & (live > 0)
-    radial = jnp.where(starts, jnp.maximum(width(low[:, None], low[:, None] < bend), 0), 0)
-    radial += jnp.where(stops, jnp.maximum(width(high[:, None], high[:, None] < bend), 0), 0)
-    return layer_area, wall_area, wall_length, radial
+        filled = (first + last + spread) / 2
+        share = (end - start) * filled / jnp.where(spread > 0, spread, 1)
+        layer_area += share * filled / 2
+        wall_size += share * leaning
+    live = jnp.where(inside, step, 0)
+    return jax.lax.complex(layer_area * live, wall_size * live)
 
 
-def survey(
-    own: Posts, others: Posts, real: Bool[Array, "candidates 2 cells"], tube: Tube, lines: Lines
-) -> tuple[CellGeometry, Survey]:
-    """Measure the cells of the backbones `own`, [cells], among their candidates, [candidates, 2, cells]."""
-    dtype = own.axial.dtype
-    radius, weight = (table.astype(dtype)[:, None] for table in lines.radii(tube))
-    radius, weight = radius[lines.layer[:-1]], weight[lines.layer[:-1]]
+def measure_window(
+    own: Posts, others: Posts, first: Array, tube: Tube, lines: Lines, shift: Array | int = 0
+) -> Window:
+    """Measure the cells of the backbones `own`, [cells], among their candidates, [candidates, 2, cells].
+
+    `first` tells the candidates with lower numbers than the cell, which settles who is behind at equal heights.
+    """
+    dtype, truth = own.axial.dtype, own.axial[0] > -1
     ends = jnp.stack([own.axial, tube.length - own.axial])
-    grid = see_lines(lines, tube, dtype)
-    truth = own.axial[0] > -1
-    rivals, limit = settled(lambda: see_rivals(own, others, real, tube), truth)
-    by, rival = settled(lambda: stop(grid, rivals, ends, tube, truth), truth)
-    wall = settled(lambda: walls(by, rival, ends, grid, tube), truth)
-    layer_area, wall_area, wall_length, radial = strips(wall, ends, limit, lines)
-    layer_area, wall_area = layer_area * radius, wall_area * radius + radial
-    surfaces = [None] * 4
-    if lines.surfaces:
-        on = [jnp.asarray(lines.layer[:-1] == lines.inner_layers + k)[:, None] for k in (0, 1)]
-        length = wall_length * radius + radial
-        surfaces = [jnp.where(at, size, 0).sum(axis=0) for size in (layer_area, length) for at in on]
-    inside = wall.reach[:, 0] + wall.reach[:, 1] > 0
-    strip = jnp.pad((inside[1:] | inside[:-1]) & (lines.step[:-1, None] > 0), ((1, 1), (0, 0)))
-    bears = (strip[1:] | strip[:-1])[:, None]
-    at_end = (by == END) & inside[:, None]
-    volume, lateral_area = ((size * weight).sum(axis=0) for size in (layer_area, wall_area))
-    cells = CellGeometry(volume, lateral_area, *surfaces, touches_end=at_end.any(axis=(0, 1)))
-    overflow = (bears[:, 0] & jnp.asarray(lines.edge)[:, None]).any(axis=0)
-    return cells, Survey(jnp.where(bears, wall.reach, -jnp.inf), jnp.where(bears, by, NONE), limit, overflow)
+    grid = see_lines(lines, tube, dtype, shift)
+    rivals = settled(lambda: see_rivals(own, others, first, tube), truth)
+    by = stop(grid, rivals, ends, tube, truth)
+    wall = walls(by, rivals, ends, grid, tube, truth)
+    inside, step = wall.reach[:, 0] + wall.reach[:, 1] > 0, lines.step(dtype, shift)
+    strip = jnp.pad((inside[1:] | inside[:-1]) & (step[:-1, None] > 0), ((1, 1), (0, 0)))
+    bears = strip[1:] | strip[:-1]
+    edges = np.stack([lines.number == sign * np.array(lines.half)[lines.layer] for sign in (-1, 1)])
+    at_end = ((by == END) & (inside & bears)[:, None]).any(axis=(0, 1))
+    sizes = CellGeometry(*integrate(wall, step, tube, lines, truth), touches_end=at_end)
+    # a product, since a reduction would run one number at a time
+    onward = jnp.asarray(edges, dtype) @ bears.astype(dtype) > 0
+    seen = (jnp.where(bears[:, None], found, no) for found, no in ((wall.reach, -jnp.inf), (by, NONE)))
+    return Window(sizes, *seen, onward)
+
+
+def integrate(wall: Walls, step: Array, tube: Tube, lines: Lines, truth: Array) -> list[Array | None]:
+    """Volume, lateral area and, on surfaces, areas and perimeters: sums over strips.
+
+    Sums are products with the weights of the lines: as reductions they would run one number at a time.
+    """
+    radius, weight = (table.astype(step.dtype)[lines.layer] for table in lines.radii(tube))
+
+    def summed(rows: slice, weights: Array, tilt: Array) -> tuple[Array, Array]:
+        part = jax.tree.map(lambda table: table[rows], wall)
+        sizes = settled(lambda: strips(part, tilt[rows], step[rows]), truth)
+        weights = (weights * radius)[rows][:-1].astype(sizes.dtype)
+        total = jnp.matmul(weights, sizes, precision=jax.lax.Precision.HIGHEST)
+        return total.real, total.imag
+
+    inner = int(np.sum(lines.layer < lines.inner_layers))
+    volume, area = summed(slice(0, inner), weight, wall.area)
+    surfaces: list[Array | None] = [None] * 4
+    for k in range(2 if lines.surfaces else 0):
+        (rows,) = np.nonzero(lines.layer == lines.inner_layers + k)
+        surfaces[k], surfaces[2 + k] = summed(slice(rows[0], rows[-1] + 1), jnp.ones_like(weight), wall.edge)
+    return [volume, area, *surfaces]
+
+
+def through_windows(
+    measure: Callable[[Array, Array, Done], Done], count: Array | int, size: int, width: int, done: Done
+) -> Done:
+    """Measure `count` of at most `size` cells in the middle window, then those that go on beyond it.
+
+    `measure(items, shift, done)` adds to `done` what `width` items (those from `size` on are none) show in a
+    window, and notes in `done.onward`, [size, 2], whether they go on beyond it. Windows to the right and to
+    the left, further and further, take their turns.
+    """
+
+    def turn(state: tuple[Array, Array, Array, Done]) -> tuple[Array, Array, Array, Done]:
+        number, order, count, done = state
+        shift = jnp.where(number % 2 == 1, 1, -1) * ((number + 1) // 2)
+
+        def block(k: Array, done: Done) -> Done:
+            return measure(jax.lax.dynamic_slice_in_dim(order, k * width, width), shift, done)
+
+        done = jax.lax.fori_loop(0, -(-count // width), block, done)
+        beyond = jnp.where(number % 2 == 0, done.onward[:, 1], done.onward[:, 0])
+        items = jax.lax.sort(jnp.where(beyond, jnp.arange(size), size))
+        return number + 1, order.at[:size].set(items), beyond.sum(dtype=jnp.int32), done
+
+    order = jnp.minimum(jnp.arange(size + width), size)
+    start = jnp.zeros((), jnp.int32), order, jnp.asarray(count, jnp.int32), done
+    return jax.lax.while_loop(lambda state: (state[2] > 0) | state[3].onward.any(), turn, start)[3]
+
+
+class Survey(NamedTuple):
+    """What measuring cells tells beside their sizes."""
+
+    sizes: CellGeometry
+    onward: Bool[Array, "cells 2"]  # the cell goes on before or after the middle window
+    reach: Float[Array, "cells 2 lines"]  # of the middle window
+    touched: Bool[Array, "cells 2 candidates"]  # the candidate stops the cell on some line
 
 
 def measure_cells(
@@ -256,22 +337,61 @@ def measure_cells(
 ) -> tuple[CellGeometry, Survey]:
     """Measure all cells, or the given ones, against their candidate neighbors behind and ahead.
 
-    Lists are padded with the cell itself. Pure: `jit` it with `lines` static, `vmap` it over replicas;
-    positions and the tube's sizes are traced. V_i = integral of the interval's length over r dr dt, A_i =
-    integral of the walls' tilt; the errors of the presets stand in `lines`. Paper, section 3.1.
+    Lists are padded with the cell itself. Pure: `jit` it, `vmap` it over replicas; positions, the tube's sizes
+    and the lines are traced. V_i = integral of the interval's length over r dr dt, A_i = integral of the
+    walls' tilt; the errors of the presets stand in `lines`. Paper, section 3.1.
     """
-    cells = jnp.arange(len(positions), dtype=jnp.int32) if cells is None else cells
-    blocks = -(-len(cells) // BLOCK)
-    width = -(-len(cells) // blocks)
-    table = posts(positions)
-
-    def block(members: Array) -> tuple[CellGeometry, Survey]:
-        rivals = neighbors[members].transpose(2, 1, 0)
-        own, others = (Posts(*(column[which] for column in table)) for which in (members, rivals))
-        return survey(own, others, rivals != members, tube, lines)
-
-    padded = jnp.pad(cells, (0, blocks * width - len(cells)), mode="edge").reshape(blocks, width)
-    measured = jax.lax.map(block, padded)
-    return jax.tree.map(
-        lambda leaf: jnp.moveaxis(leaf, 0, -2).reshape(*leaf.shape[1:-1], -1)[..., : len(cells)], measured
+    which = jnp.arange(len(positions), dtype=jnp.int32) if cells is None else jnp.asarray(cells)
+    neighbors, table, size = jnp.asarray(neighbors), posts(positions), len(which)
+    width = -(-size // -(-size // BLOCK))
+    dtype = positions.dtype
+    blank = jnp.zeros(size, dtype)
+    surfaces = [blank if lines.surfaces else None] * 4
+    sizes = CellGeometry(blank, blank, *surfaces, touches_end=blank > 0)
+    start = Survey(
+        sizes,
+        jnp.zeros((size, 2), bool),
+        jnp.zeros((size, 2, len(lines.number)), dtype),
+        jnp.zeros((size, *neighbors.shape[1:]), bool),
     )
+
+    def measure(items: Array, shift: Array, done: Survey) -> Survey:
+        members = which[items]
+        rivals = neighbors[members].transpose(2, 1, 0)
+        own, others = (Posts(*(column[at] for column in table)) for at in (members, rivals))
+        window = measure_window(own, others, rivals < members, tube, lines, shift)
+        return add_window(items, shift, window, done)
+
+    found = through_windows(measure, size, size, width, start)
+    return found.sizes, found
+
+
+def add_window(items: Array, shift: Array, window: Window, done: Survey) -> Survey:
+    """What is known of cells, and what one more window shows of some."""
+
+    def add(known: Array, more: Array) -> Array:
+        if known.dtype == bool:
+            return known.at[items].max(more, mode="drop")
+        return known.at[items].add(more, mode="drop")
+
+    middle = shift == 0
+    at, candidate = jnp.where(middle, items, len(done.onward)), window.by.transpose(2, 1, 0)
+    side = jnp.arange(2)[:, None]
+    touched = done.touched.at[
+        items[:, None, None], side, jnp.where(candidate < 0, done.touched.shape[2], candidate)
+    ]
+    return Survey(
+        jax.tree.map(add, done.sizes, window.sizes),
+        note_onward(items, shift, window, done.onward),
+        done.reach.at[at].set(jnp.moveaxis(window.reach, -1, 0).swapaxes(1, 2), mode="drop"),
+        touched.set(True, mode="drop"),
+    )
+
+
+def note_onward(
+    items: Array, shift: Array, window: Window, known: Bool[Array, "size 2"]
+) -> Bool[Array, "size 2"]:
+    """Whether cells go on: on both sides of the middle window, else on that side to which a window lies."""
+    keep = jnp.stack([shift > 0, shift < 0])
+    onward = jnp.where(keep, known[jnp.minimum(items, len(known) - 1)], window.onward.T)
+    return known.at[items].set(onward, mode="drop")

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from jaxtissue.tube import Tube
@@ -47,53 +48,41 @@ class Lines(eqx.Module):
     """The lines on which every cell is measured.
 
     Layer k lies at radius r_k, a Gauss-Legendre node of (R_a, R_b). There, backbone i is given the lines at
-    angles t_i + m 2 pi / circle[k] for |m| <= half[k], or all `circle[k]` lines once round, and the first
-    again, where that is fewer. So every cell sees its own backbone's line, and what is measured does not
-    depend on how the tube is turned. With `surfaces`, two more layers lie on the apical and basal surface.
-    Only counts are held here: the radii come from the tube, which may be traced.
+    angles t_i + m 2 pi / circle[k], in windows of |m| <= half[k] and, for a cell that goes on beyond, in the
+    windows to either side. So every cell sees its own backbone's line, and what is measured depends neither on
+    how the tube is turned nor on how wide the windows are. With `surfaces`, two more layers lie on the apical and basal surface.
+    `circle` is traced, only the windows' widths are static: tubes of other radii need no new program.
     """
 
-    circle: tuple[int, ...] = eqx.field(static=True)
+    circle: Float[Array | np.ndarray, "layers"]
     half: tuple[int, ...] = eqx.field(static=True)
     surfaces: bool = eqx.field(static=True, default=False)
 
-    def _per_layer(self) -> list[tuple[np.ndarray, int, bool]]:
-        """Line numbers m, lines once round, and whether the window closes, of each layer."""
-        layers = []
-        for circle, half in zip(self.circle, self.half, strict=True):
-            closed = 2 * half >= circle
-            m = np.arange(circle + 1) - circle // 2 if closed else np.arange(-half, half + 1)
-            layers.append((m, circle, closed))
-        return layers
+    @property
+    def number(self) -> np.ndarray:
+        """The number m of each line in its window, [lines]."""
+        return np.concatenate([np.arange(-half, half + 1) for half in self.half])
 
     @property
     def layer(self) -> np.ndarray:
         """Layer of each line, [lines]."""
-        return np.concatenate([np.full(len(m), k) for k, (m, _, _) in enumerate(self._per_layer())])
-
-    @property
-    def offset(self) -> np.ndarray:
-        """Angle of each line from the backbone's, [lines]."""
-        return np.concatenate([2 * math.pi / circle * m for m, circle, _ in self._per_layer()])
-
-    @property
-    def step(self) -> np.ndarray:
-        """Angle from each line to the next of its layer, 0 at a layer's last, [lines]."""
-        return np.concatenate(
-            [np.r_[np.full(len(m) - 1, 2 * math.pi / circle), 0.0] for m, circle, _ in self._per_layer()]
-        )
-
-    @property
-    def edge(self) -> np.ndarray:
-        """Whether a line is the outermost of a window that does not close round the lumen, [lines]."""
-        return np.concatenate(
-            [np.isin(m, [] if closed else [m[0], m[-1]]) for m, _, closed in self._per_layer()]
-        )
+        return np.repeat(np.arange(len(self.half)), 2 * np.array(self.half) + 1)
 
     @property
     def inner_layers(self) -> int:
         """Number of layers that carry volume."""
-        return len(self.circle) - 2 * self.surfaces
+        return len(self.half) - 2 * self.surfaces
+
+    def offset(self, dtype: DTypeLike, shift: Array | int = 0) -> Float[Array, "lines"]:
+        """Angle of each line from the backbone's; `shift` counts windows onward, each begins where one ends."""
+        return 2 * math.pi * self._shifted(dtype, shift) / self._circle(dtype)
+
+    def step(self, dtype: DTypeLike, shift: Array | int = 0) -> Float[Array, "lines"]:
+        """Angle from each line to the next of its layer, 0 where that is not in the window or round the circle."""
+        circle, number = self._circle(dtype), self._shifted(dtype, shift)
+        first = -jnp.floor(circle / 2)
+        within = (number >= first) & (number < first + circle) & (self.number < self._half)
+        return jnp.where(within, 2 * math.pi / circle, 0)
 
     def radii(self, tube: Tube) -> tuple[Float[Array, "layers"], Float[Array, "layers"]]:
         """Radius and Gauss-Legendre weight of each layer; a surface has weight 0."""
@@ -106,26 +95,29 @@ class Lines(eqx.Module):
             radius, weight = jnp.concatenate([radius, ends]), jnp.concatenate([weight, jnp.zeros(2)])
         return radius, weight
 
+    @property
+    def _half(self) -> np.ndarray:
+        return np.array(self.half)[self.layer]
+
+    def _shifted(self, dtype: DTypeLike, shift: Array | int) -> Float[Array, "lines"]:
+        return (self.number + 2 * self._half * shift).astype(dtype)
+
+    def _circle(self, dtype: DTypeLike) -> Float[Array, "lines"]:
+        return jnp.asarray(self.circle, dtype)[self.layer]
+
 
 def plan_lines(
-    tube: Tube, cells: int, resolution: Resolution, reach: float = math.inf, surfaces: bool = False
+    tube: Tube, cells: int, resolution: Resolution, reach: float = 2.5, surfaces: bool = False
 ) -> Lines:
-    """The lines for a tube of `cells` cells, within `reach` mean cell widths on either side of a backbone.
+    """The lines for a tube of `cells` cells, in windows of `reach` mean cell widths on either side of a backbone.
 
     The mean cell width at radius r is sqrt(2 pi r L / n). At least 16 lines run once round every layer;
     the two surfaces, which carry no volume, have half as many lines again.
     """
-    single = Lines(
-        (1,) * (resolution.layers + 2 * surfaces), (1,) * (resolution.layers + 2 * surfaces), surfaces
-    )
-    radii = np.asarray(single.radii(tube)[0], float)
-    round_in_widths = np.sqrt(2 * math.pi * radii * cells / float(tube.length))
-    dense = resolution.density * np.where(np.arange(len(radii)) < resolution.layers, 1.0, 1.5)
-    circle = tuple(
-        math.ceil(max(16, 4 * resolution.density, density * turn))
-        for density, turn in zip(dense, round_in_widths, strict=True)
-    )
-    half = tuple(
-        math.ceil(min(c / 2, reach * c / turn)) for c, turn in zip(circle, round_in_widths, strict=True)
-    )
-    return Lines(circle, half, surfaces)
+    layers = resolution.layers + 2 * surfaces
+    radii = np.asarray(Lines(np.ones(layers), (1,) * layers, surfaces).radii(tube)[0], float)
+    turn = np.sqrt(2 * math.pi * radii * cells / float(tube.length))  # the circle in mean cell widths
+    dense = resolution.density * np.where(np.arange(layers) < resolution.layers, 1.0, 1.5)
+    circle = np.ceil(np.maximum(max(16, 4 * resolution.density), dense * turn))
+    half = np.ceil(reach * dense)
+    return Lines(circle, tuple(half.astype(int).tolist()), surfaces)

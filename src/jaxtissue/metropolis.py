@@ -12,15 +12,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxtissue.cells import (
-    FAR,
+    LEVEL,
     CellGeometry,
     Posts,
+    Rivals,
     Survey,
-    measure_cells,
+    measure_window,
+    meeting,
+    note_onward,
     posts,
     see_lines,
-    see_rivals,
-    survey,
+    through_windows,
 )
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines
@@ -29,10 +31,10 @@ ITEMS = 64  # changed cells measured at once
 
 
 class Neighborhoods(NamedTuple):
-    """Who may bound whom, as in `candidates.Candidates`; fixed during a sweep."""
+    """Who may bound whom, padded with the cell itself; fixed during a sweep."""
 
-    around: Int[Array | np.ndarray, "n candidates"]
-    sides: Int[Array | np.ndarray, "n 2 side_candidates"]
+    around: Int[Array | np.ndarray, "n around"]  # all who have the cell among their candidates, or it has
+    sides: Int[Array | np.ndarray, "n 2 candidates"]  # candidates behind and ahead
 
 
 class TissueState(NamedTuple):
@@ -41,7 +43,8 @@ class TissueState(NamedTuple):
     place: Posts
     volume: Float[Array, "n"]
     lateral_area: Float[Array, "n"]
-    reach: Float[Array, "n lines*2"]
+    reach: Float[Array, "n 2 lines"]  # in the middle window
+    wide: Bool[Array, "n"]  # the cell goes on beyond it
 
 
 class SweepInfo(NamedTuple):
@@ -52,28 +55,28 @@ class SweepInfo(NamedTuple):
     left_cell: Int[Array, ""]
     rounds: Int[Array, ""]
     energy_change: Float[Array, ""]
-    overflow: Bool[Array, ""]
 
 
 class Changes(NamedTuple):
-    """The cells a round's moves would change, packed: whose move, which cell, new sizes and reaches."""
+    """The cells a round's moves would change, packed: whose move, which cell, and what they become."""
 
     move: Int[Array, "items"]
     cell: Int[Array, "items"]
     total: Int[Array, ""]
     volume: Float[Array, "items"]
     lateral_area: Float[Array, "items"]
-    reach: Float[Array, "items lines*2"]
-    overflow: Bool[Array, "items"]
+    reach: Float[Array, "items 2 lines"]
+    wide: Bool[Array, "items"]
+    onward: Bool[Array, "items 2"]
 
 
-def tissue_state(
-    positions: Float[Array, "n 2"], model: Model, near: Neighborhoods, lines: Lines
-) -> tuple[TissueState, Survey]:
-    """Measure a whole tissue afresh."""
-    cells, seen = measure_cells(positions, model.tube, lines, near.sides)
-    reach = jnp.moveaxis(seen.reach, -1, 0).reshape(len(positions), -1)
-    return TissueState(posts(positions), cells.volume, cells.lateral_area, reach), seen
+def tissue_state(positions: Float[Array, "n 2"], seen: Survey, lines: Lines, wide: Lines) -> TissueState:
+    """The state of a tissue that was measured in `wide` windows, for sweeps in those of `lines`."""
+    middle = np.flatnonzero(np.abs(wide.number) <= np.array(lines.half)[wide.layer])
+    edges = np.abs(lines.number) == np.array(lines.half)[lines.layer]
+    reach = seen.reach[..., middle]
+    onward = (reach[:, 0] > -jnp.inf)[:, edges].any(axis=1)
+    return TissueState(posts(positions), seen.sizes.volume, seen.sizes.lateral_area, reach, onward)
 
 
 def propose(key: PRNGKeyArray, place: Posts, model: Model) -> Posts:
@@ -123,7 +126,7 @@ def sweep(
         next_alone = jnp.argmax(deferred).astype(rounds.dtype)
         movers = jnp.where(planned, rounds[jnp.minimum(number, len(rounds) - 1)], alone.at[0].set(next_alone))
         deferred = deferred.at[next_alone].set(deferred[next_alone] & planned)
-        changed = find_changed(movers, state, proposed, near, model, lines)
+        changed = find_changed(movers, state, proposed, near, (model, lines))
         collides = find_collisions(changed, movers, near)
         changes = measure_changes(changed & ~collides[:, None], movers, state, proposed, near, (model, lines))
         difference = local_differences(changes, state, model, len(movers))
@@ -137,12 +140,11 @@ def sweep(
             info.left_cell + count_left(movers, state.place, proposed, near, model),
             info.rounds + 1,
             info.energy_change + jnp.where(accept, difference, 0).sum(),
-            info.overflow | changes.overflow.any(),
         )
         return number + 1, deferred, apply(changes, accept, movers, proposed, state), info
 
     zero = jnp.zeros((), jnp.int32)
-    nothing = SweepInfo(zero, zero, zero, zero, jnp.zeros((), chance.dtype), jnp.zeros((), bool))
+    nothing = SweepInfo(zero, zero, zero, zero, jnp.zeros((), chance.dtype))
     start = (zero, jnp.zeros(len(chance), bool), state, nothing)
     _, _, state, info = jax.lax.while_loop(unplayed, play, start)
     return state, info
@@ -154,32 +156,37 @@ def pick(place: Posts, which: Array) -> Posts:
 
 
 def find_changed(
-    movers: Array, state: TissueState, proposed: Posts, near: Neighborhoods, model: Model, lines: Lines
-) -> Bool[Array, "width candidates+1"]:
-    """Which of a mover's candidates its move may change, and (last) itself.
+    movers: Array, state: TissueState, proposed: Posts, near: Neighborhoods, rules: tuple[Model, Lines]
+) -> Bool[Array, "width around+1"]:
+    """Which of the cells around a mover its move may change, and (last) itself.
 
     A cell changes where the mover stops it now, or would stop it short of its present reach. The first test
-    has a tolerance: a cell more is measured for nothing, a cell less would be a stale one.
+    has a tolerance: a cell more is measured for nothing, a cell less would be a stale one. For the same
+    reason a cell that goes on beyond its middle window counts as changed.
     """
+    model, lines = rules
     cells = near.around[movers]
-    width, candidates = cells.shape
-    own = pick(state.place, cells.ravel())
-    reach = jnp.moveaxis(state.reach[cells.ravel()].reshape(width * candidates, -1, 2), 0, -1)
-    grid = see_lines(lines, model.tube, reach.dtype)
-    slack = 1e-5 * (model.tube.length + jnp.abs(reach))
+    pairs = cells.ravel()
+    own, reach = pick(state.place, pairs[:, None]), state.reach[pairs]
+    grid = jax.tree.map(lambda table: table[:, 0], see_lines(lines, model.tube, reach.dtype))
+    facing = jnp.where(reach > -jnp.inf, reach + 1e-5 * (model.tube.length + jnp.abs(reach)), reach)
 
-    def undercuts(mover: Posts, slack: Array | float) -> Array:
-        rival = Posts(*(jnp.repeat(column, candidates)[None, None] for column in mover))
-        rivals, limit = see_rivals(own, rival, jnp.ones((1, 2, width * candidates), bool), model.tube)
-        half, cosine, sine = (table[0] for table in rivals)
-        z, y = grid.z * cosine + grid.y * sine, grid.y * cosine - grid.z * sine
-        foot = jnp.maximum(z, model.tube.apical_radius)
-        meets = half + (y * y + (foot - z) ** 2 - grid.square) * jnp.where(half < FAR, 0.25 / half, 0)
-        return (meets <= reach + slack).any(axis=(0, 1)) | (limit.min(axis=0) < np.pi * (1 - 1e-6))
+    def undercuts(mover: Posts, facing: Array) -> Array:
+        mover = Posts(*(jnp.repeat(column, cells.shape[1])[:, None] for column in mover))
+        gap, cosine = mover.axial - own.axial, mover.cosine * own.cosine + mover.sine * own.sine
+        sine = mover.sine * own.cosine - mover.cosine * own.sine
+        level = LEVEL * model.tube.apical_radius * jnp.sqrt(sine**2 + (1 - cosine) ** 2)
+        half = jnp.maximum(jnp.maximum(jnp.abs(gap), level), 1e-30) / 2
+        meets = meeting(grid, Rivals(half, 0.25 / half, cosine, sine), model.tube)
+        # one that is level may change sides
+        both = jnp.abs(gap) <= level
+        behind, ahead = facing[:, 0], facing[:, 1]
+        return meets <= jnp.where(both, jnp.maximum(behind, ahead), jnp.where(gap > 0, ahead, behind))
 
-    touched = undercuts(pick(state.place, movers), slack) | undercuts(pick(proposed, movers), 0.0)
-    changed = touched.reshape(width, candidates) & (cells != movers[:, None])
-    return jnp.concatenate([changed, jnp.ones((width, 1), bool)], axis=1) & (movers >= 0)[:, None]
+    touched = undercuts(pick(state.place, movers), facing) | undercuts(pick(proposed, movers), reach)
+    touched = (jnp.where(touched, 1.0, 0.0).max(axis=1) > 0) | state.wide[pairs]
+    changed = touched.reshape(cells.shape) & (cells != movers[:, None])
+    return jnp.concatenate([changed, jnp.ones_like(changed[:, :1])], axis=1) & (movers >= 0)[:, None]
 
 
 def members(movers: Array, near: Neighborhoods) -> Int[Array, "width candidates+1"]:
@@ -210,19 +217,16 @@ def measure_changes(
 ) -> Changes:
     """Measure every changed cell as if its one move were made, in as many blocks as it takes."""
     model, lines = rules
-    size = -(-changed.size // ITEMS) * ITEMS
-    (item,) = jnp.nonzero(changed.ravel(), size=size, fill_value=0)
+    size = changed.size
+    item = jnp.minimum(jax.lax.sort(jnp.where(changed.ravel(), jnp.arange(size), size)), size - 1)
     move, cell = item // changed.shape[1], members(movers, near).ravel()[item]
-    count = changed.sum(dtype=jnp.int32)
+    total = changed.sum(dtype=jnp.int32)
     blank = jnp.zeros(size, state.volume.dtype)
-    start = Changes(
-        move, cell, count, blank, blank, jnp.zeros((size, state.reach.shape[1]), blank.dtype), blank > 0
-    )
+    reach = jnp.zeros((size, *state.reach.shape[1:]), blank.dtype)
+    start = Changes(move, cell, total, blank, blank, reach, blank > 0, jnp.zeros((size, 2), bool))
 
-    def block(number: Array, done: Changes) -> Changes:
-        at = number * ITEMS
-        which = jax.lax.dynamic_slice_in_dim(cell, at, ITEMS)
-        mover = movers[jax.lax.dynamic_slice_in_dim(move, at, ITEMS)]
+    def measure(items: Array, shift: Array, done: Changes) -> Changes:
+        mover, which = movers[move[items]], cell[items]
         rivals = near.sides[which].transpose(2, 1, 0)
 
         def moved(index: Array) -> Posts:
@@ -230,17 +234,18 @@ def measure_changes(
                 lambda old, new: jnp.where(index == mover, new[mover], old[index]), state.place, proposed
             )
 
-        cells, seen = survey(moved(which), moved(rivals), rivals != which, model.tube, lines)
-        reach = jnp.moveaxis(seen.reach, -1, 0).reshape(ITEMS, -1)
-        found = (cells.volume, cells.lateral_area, reach, seen.overflow)
+        window = measure_window(moved(which), moved(rivals), rivals < which, model.tube, lines, shift)
+        onward = note_onward(items, shift, window, done.onward)
+        at = jnp.where(shift == 0, items, size)
         return done._replace(
-            **{
-                name: jax.lax.dynamic_update_slice_in_dim(getattr(done, name), value, at, 0)
-                for name, value in zip(("volume", "lateral_area", "reach", "overflow"), found, strict=True)
-            }
+            volume=done.volume.at[items].add(window.sizes.volume, mode="drop"),
+            lateral_area=done.lateral_area.at[items].add(window.sizes.lateral_area, mode="drop"),
+            reach=done.reach.at[at].set(jnp.moveaxis(window.reach, -1, 0).swapaxes(1, 2), mode="drop"),
+            wide=done.wide.at[at].set(window.onward.any(axis=0), mode="drop"),
+            onward=onward,
         )
 
-    return jax.lax.fori_loop(0, -(-count // ITEMS), block, start)
+    return through_windows(measure, total, size, ITEMS, start)
 
 
 def local_differences(
@@ -250,7 +255,8 @@ def local_differences(
     new = model.cell_energy(CellGeometry(changes.volume, changes.lateral_area), model)
     old = model.cell_energy(CellGeometry(state.volume[changes.cell], state.lateral_area[changes.cell]), model)
     real = jnp.arange(len(new)) < changes.total
-    return jax.ops.segment_sum(jnp.where(real, new - old, 0), changes.move, width)
+    own = changes.move == jnp.arange(width)[:, None]
+    return jnp.where(own & real, new - old, 0).sum(axis=1)
 
 
 def apply(changes: Changes, accept: Array, movers: Array, proposed: Posts, state: TissueState) -> TissueState:
@@ -263,6 +269,7 @@ def apply(changes: Changes, accept: Array, movers: Array, proposed: Posts, state
         state.volume.at[cell].set(changes.volume, mode="drop"),
         state.lateral_area.at[cell].set(changes.lateral_area, mode="drop"),
         state.reach.at[cell].set(changes.reach, mode="drop"),
+        state.wide.at[cell].set(changes.wide, mode="drop"),
     )
 
 
