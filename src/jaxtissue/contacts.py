@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import roots_jacobi
 
 from jaxtissue.edges import EdgeGraph, trace_edges
-from jaxtissue.leads import TINY, Leads
+from jaxtissue.leads import BOUNDS, TINY, Leads, dot, ranges
 from jaxtissue.tube import Tube
 
 KINDS = ("internal", "apical", "basal", "apical_basal")
@@ -96,8 +96,10 @@ def find_faces(positions: Float[ArrayLike, "n 2"], tube: Tube, edges: EdgeGraph)
     labels = edges.edge_labels
     # tangents run along grad lead_b x grad lead_c for labels a, b, c: faces ab, bc lie left of them, ac right
     sides = np.concatenate([labels[:, [0, 1]], labels[:, [1, 2]], labels[:, [0, 2]]])
-    pairs, face = np.unique(sides, axis=0, return_inverse=True)
-    edge, sign, face = np.tile(edge, 3), np.repeat([1.0, 1.0, -1.0], len(edge)), face.ravel()
+    base = edges.cells + BOUNDS
+    pairs, face = np.unique(sides @ [base, 1], return_inverse=True)
+    pairs = np.stack(np.divmod(pairs, base), axis=1)
+    edge, sign = np.tile(edge, 3), np.repeat([1.0, 1.0, -1.0], len(edge))
     vertices = edges.edge_vertices[edge]
     row, end = np.nonzero(vertices >= 0)
     corner = np.unique(face[row] * len(edges.vertices) + vertices[row, end], return_inverse=True)[1]
@@ -126,8 +128,7 @@ def _measure(
     """Area of every wall between cells, and which parts run round a piece: area to their left, flattened."""
     first = np.searchsorted(graph.segment_edge, faces.edge)
     size = np.searchsorted(graph.segment_edge, faces.edge, side="right") - first
-    row = np.repeat(np.arange(len(size)), size)
-    segment = np.arange(len(row)) + np.repeat(first - np.cumsum(size) + size, size)
+    row, segment = ranges(first, size)
     face, sign, count = faces.face[row], faces.sign[row], len(faces.labels)
 
     def total(value: np.ndarray) -> np.ndarray:
@@ -177,6 +178,6 @@ def _slant(point: np.ndarray, plane: np.ndarray, pair: np.ndarray, leads: Leads)
     rise = slope = np.zeros(0)
     for _ in range(4):
         lead, slope = leads.over_first(point, pair)
-        rise = (slope[:, 0] * plane).sum(axis=1)
+        rise = dot(slope[..., 0], plane.T)
         point = point - (lead[:, 0] / np.where(rise == 0, np.inf, rise))[:, None] * plane
-    return 1 / np.maximum(rise / np.linalg.norm(slope[:, 0], axis=1), STEEP)
+    return 1 / np.maximum(rise / np.sqrt(dot(slope[..., 0], slope[..., 0])), STEEP)

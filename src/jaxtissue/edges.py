@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 
-from jaxtissue.fronts import GOING, HOME, LOST, Fronts, begin, passes, step
+from jaxtissue.fronts import GOING, HOME, LOST, Fronts, begin, passes, refine, step
 from jaxtissue.leads import TOUCH, Leads, ranges
 from jaxtissue.tube import Tube
 
@@ -62,7 +62,7 @@ def seed(leads: Leads) -> Seeds:
     n, seeds = leads.count, []
     own, surface = np.tile(leads.order, 2), np.repeat([0, 1], n)
     radius = np.array([leads.inner, leads.outer])[surface]
-    place = np.concatenate([leads.axial[own, None], radius[:, None] * leads.direction[own]], axis=1)
+    place = np.stack([leads.axial[own], radius * leads.cosine[own], radius * leads.sine[own]], axis=1)
     for side in (-1, 1):
         away, other = first_wall(place, own, side, leads)
         point = place.copy()
@@ -89,7 +89,7 @@ def first_wall(
         ahead = rank[own[open_], None] + side * (done + 1 + np.arange(count))
         rival = leads.order[np.clip(ahead, 0, leads.count - 1)]
         lead, slope = leads.over_first(place[open_], np.append(own[open_, None], rival, axis=1))
-        toward = side * slope[..., 0]
+        toward = side * slope[0]
         walls = np.where(toward > 0, -lead / np.where(toward > 0, toward, 1), np.inf)
         best = walls.argmin(axis=1)[:, None]
         wall, rival = (np.take_along_axis(table, best, axis=1)[:, 0] for table in (walls, rival))
@@ -172,16 +172,15 @@ class _Growing:
         """Fronts along the edges that the vertices from number `first` on end, if not yet followed."""
         point = np.array(self.points[first:]).reshape(-1, 3)
         labels = np.array(self.labels[first:], int).reshape(-1, 4)
-        parts = []
-        for place in range(4):
-            triple, other = np.delete(labels, place, axis=1), labels[:, place]
-            end = 4 * (first + np.arange(len(labels))) + place
-            _, slope = self.leads.over_first(point, np.stack([triple[:, 0], other], axis=1))
-            sign = -np.sign((self.leads.tangent(point, triple) * slope[:, 0]).sum(axis=1))
-            new = np.array([number not in self.closed for number in end.tolist()], bool)
-            go = (triple[:, 1] < self.leads.count) & new
-            parts.append((point[go], triple[go], sign[go], end[go]))
-        return self._begin(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        rest = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+        triple, other = labels[:, rest].reshape(-1, 3), labels.ravel()
+        end = 4 * first + np.arange(len(other))
+        new = np.array([number not in self.closed for number in end.tolist()], bool)
+        go = np.flatnonzero((triple[:, 1] < self.leads.count) & new)
+        triple, other, point = triple[go], other[go], point[go // 4]
+        _, slope = self.leads.over_first(point, np.stack([triple[:, 0], other], axis=1))
+        sign = -np.sign((self.leads.tangent(point, triple) * slope[..., 0].T).sum(axis=1))
+        return self._begin(point, triple, sign, end[go])
 
     def _segments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Labels of all fronts; the front and the two points of each segment walked, in order."""
@@ -218,7 +217,7 @@ class _Growing:
         order = np.argsort(edge, kind="stable")
         edge, points, along = edge[order], points[order], sign[front[order]]
         points = np.where((along > 0)[:, None, None], points, points[:, ::-1])
-        tangents = leads.tangent(points.reshape(-1, 3), np.repeat(labels[begun[edge, 0]], 2, axis=0))
+        points, tangents, segment = refine(points, labels[begun[edge, 0]], leads)
         four = np.array(self.labels, int).reshape(-1, 4)
         real = (four < n).sum(axis=1)
         due = (real == 4) * 4 + (real == 3) * 4 + (real == 2) * 2  # triples with at least two cells
@@ -228,8 +227,8 @@ class _Growing:
             four,
             labels[begun[:, 0]],
             begun[:, 1:] // 4,
-            edge,
+            edge[segment],
             points,
-            tangents.reshape(-1, 2, 3),
+            tangents,
             int(due.sum()) - len(self.closed) + self.excess,
         )
