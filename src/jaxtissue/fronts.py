@@ -10,7 +10,8 @@ from jaxtissue.leads import TINY, TOUCH, Leads
 STEP = 0.6  # longest step, in mean cell widths at the local radius
 TURN = 0.4  # longest step, in radii of curvature
 BENT = 0.85  # cosine of the most that an edge may turn in a step
-FINE = 0.15  # most that edges turn, in radians, in the segments that are kept
+FINE = 0.3  # most that edges turn, in radians, in the segments that are kept
+STRAY = 3e-4  # of its length: most by which an edge leaves the cubic through the ends of a segment
 ENOUGH = 1e-7  # of a step: Newton's next step is its square
 GOING, HOME, LOST = -1, -2, -3  # nobody met yet; back where the front began; the step was too long
 
@@ -124,16 +125,19 @@ def advance(fronts: Fronts, size: np.ndarray, leads: Leads) -> tuple[Fronts, np.
 def refine(
     points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"], leads: Leads
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 2 3"], Int[np.ndarray, " t"]]:
-    """Segments of edges halved until they hardly turn: points, unit tangents, and which segment each is of."""
+    """Segments of edges halved until they hardly turn, and follow the cubic through their ends: points, unit tangents, and which segment each is of."""
     tangents = leads.tangent(points.reshape(-1, 3), np.repeat(labels, 2, axis=0)).reshape(-1, 2, 3)
-    segment = np.arange(len(points))
-    for _ in range(3):
-        bent = np.flatnonzero(((tangents[:, 0] - tangents[:, 1]) ** 2).sum(axis=1) > FINE**2)
-        chord = np.linalg.norm(points[bent, 1] - points[bent, 0], axis=1)
-        guess = points[bent].mean(axis=1) + chord[:, None] / 8 * (tangents[bent, 0] - tangents[bent, 1])
-        middle, found = leads.solve(guess, labels[segment[bent]], ENOUGH * chord)
-        bent, middle = bent[found], middle[found]
+    segment = new = np.arange(len(points))
+    for _ in range(6):
+        turn = tangents[new, 0] - tangents[new, 1]
+        chord = np.linalg.norm(points[new, 1] - points[new, 0], axis=1)
+        guess = points[new].mean(axis=1) + chord[:, None] / 8 * turn
+        middle, found = leads.solve(guess, labels[segment[new]], ENOUGH * chord)
+        stray = np.linalg.norm(middle - guess, axis=1) > STRAY * chord
+        split = found & (stray | ((turn**2).sum(axis=1) > FINE**2))
+        bent, middle = new[split], middle[split]
         along = leads.tangent(middle, labels[segment[bent]])
+        new = np.append(bent, len(points) + np.arange(len(bent)))
         points = np.concatenate([points, np.stack([middle, points[bent, 1]], axis=1)])
         tangents = np.concatenate([tangents, np.stack([along, tangents[bent, 1]], axis=1)])
         points[bent, 1], tangents[bent, 1] = middle, along

@@ -73,7 +73,7 @@ def find_forms(
     if len(place) == 1:
         return CellForms(np.ones(1, bool), np.ones(1, int))
     graph = trace_edges(place, tube) if edges is None else edges
-    return CellForms(_find_rings(place, tube, graph), _count_pieces(graph, find_faces(place, tube, graph)))
+    return CellForms(_find_rings(place, tube, graph), _count_pieces(graph, find_faces(graph)))
 
 
 def _find_rings(place: np.ndarray, tube: Tube, graph: EdgeGraph) -> Bool[np.ndarray, " n"]:
