@@ -167,7 +167,7 @@ def test_threshold_leaves_out_small_walls():
 def test_rings_wrap_round_the_lumen():
     # far apart on a thin tube: each of five wraps, with one wall to the next
     positions, tube = np.array([[1, 0.3], [5, 2.0], [9, 4.0], [13, 5.0], [17, 1.0]]), Tube(18, 0.3, 1)
-    contacts, forms = find_contacts(positions, tube), find_forms(positions, tube, PRESETS["draft"])
+    contacts, forms = find_contacts(positions, tube), find_forms(positions, tube)
     assert contacts.pairs.tolist() == [[0, 1], [1, 2], [2, 3], [3, 4]]
     assert contacts.pieces.tolist() == [1] * 4
     assert forms.is_ring.all()
@@ -178,7 +178,7 @@ def test_rings_wrap_round_the_lumen():
 
 def test_two_cells_side_by_side_meet_twice():
     positions, tube = np.array([[3, 0], [3, math.pi]]), Tube(6, 1, 2)
-    contacts, forms = find_contacts(positions, tube), find_forms(positions, tube, PRESETS["draft"])
+    contacts, forms = find_contacts(positions, tube), find_forms(positions, tube)
     assert contacts.pairs.tolist() == [[0, 1]]
     assert contacts.pieces.tolist() == [2]
     np.testing.assert_allclose(contacts.area, 12, rtol=1e-12)  # two rectangles, 6 x 1
@@ -198,7 +198,7 @@ def test_lattices_touch_side_by_side_only(shift, pairs):
 
 
 def test_forms_of_the_reference_tubes(reference, edges):
-    forms = find_forms(reference.positions, reference.tube, PRESETS["draft"], edges)
+    forms = find_forms(reference.positions, reference.tube, edges)
     # one and two cells wrap; near_coincident's cell 41 is in two parts on the basal surface, but one within
     assert forms.is_ring.all() if len(reference.positions) <= 2 else not forms.is_ring.any()
     assert set(forms.pieces.tolist()) == {1}
@@ -208,6 +208,6 @@ def test_a_detached_piece_is_counted():
     # found by labeling voxels: cell 225 of this tissue comes to the surface again across the lumen
     positions = np.random.default_rng(1).uniform([0, 0], [100, 2 * math.pi], (500, 2))
     near = np.flatnonzero(np.abs(positions[:, 0] - positions[225, 0]) < 12)
-    forms = find_forms(positions[near], Tube(100, 0.2, 10), PRESETS["draft"])
+    forms = find_forms(positions[near], Tube(100, 0.2, 10))
     assert forms.pieces[np.searchsorted(near, 225)] == 2
     assert np.bincount(forms.pieces).argmax() == 1

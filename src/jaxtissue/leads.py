@@ -9,134 +9,225 @@ sorted, so that a bound is never the first.
 """
 
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import ArrayLike, Bool, Float, Int
 
 from jaxtissue.tube import Tube
 
 BOUNDS = 4
 TINY = 1e-300
-BLOCK = 256  # points compared at once with all their rivals: what fits the processor's cache
-BEND = 0.2  # the most that edges and walls turn against each other in a step: more than arccos(TURN) / 2
+TOUCH = 1e-11  # in units of R_b + L: nearer is taken as touching
+BLOCK = 2**15  # pairs of point and rival compared at once: what fits the processor's cache
+TURNS = 8  # most Newton steps
+SLACK = 0.3  # how much more than foreseen edges and walls turn against each other in the longest step
+
+
+def cross(first: Float[np.ndarray, "3 ..."], second: Float[np.ndarray, "3 ..."]) -> Float[np.ndarray, "3 ..."]:
+    """Cross products along the first axis; `np.cross` takes several times as long."""
+    (a, b, c), (u, v, w) = first, second
+    return np.stack([b * w - c * v, c * u - a * w, a * v - b * u])
+
+
+def dot(first: Float[np.ndarray, "3 ..."], second: Float[np.ndarray, "3 ..."]) -> Float[np.ndarray, "..."]:
+    """Dot products along the first axis."""
+    return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
+
+
+def ranges(first: Int[np.ndarray, " m"], size: Int[np.ndarray, " m"]) -> tuple[np.ndarray, np.ndarray]:
+    """Row and value of all integers first <= value < first + size, in order."""
+    row = np.repeat(np.arange(len(size)), size)
+    return row, np.arange(len(row)) + np.repeat(first - np.cumsum(size) + size, size)
 
 
 class Leads:
-    """Leads of the labels of one tissue; points [m, 3], label rows [m, k].
+    """Leads of the labels of one tissue; points [m, 3], label rows [m, k], gradients [3, m, k - 1]."""
 
-    `rivals`, candidates of each cell [n, candidates], are those among whom the foremost is looked for.
-    """
-
-    def __init__(self, positions: ArrayLike, tube: Tube, rivals: np.ndarray | None = None) -> None:
+    def __init__(self, positions: ArrayLike, tube: Tube) -> None:
         axial, angle = np.pad(np.asarray(positions, float).T, ((0, 0), (0, BOUNDS)))
         self.count, self.axial = len(axial) - BOUNDS, axial
-        self.direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        self.cosine, self.sine = np.cos(angle), np.sin(angle)
         self.inner, self.outer = float(tube.apical_radius), float(tube.basal_radius)
         self.length = float(tube.length)
         self.size = self.length + self.outer
-        own = np.arange(self.count)
-        self.rivals = own[:, None] if rivals is None else rivals
-        turned = self.direction[self.rivals] - self.direction[own, None]
-        rival, own = axial[self.rivals], axial[own, None]
-        self._pairs = rival - own, rival + own, *np.moveaxis(turned, -1, 0), (turned**2).sum(axis=-1)
+        self.order = np.argsort(axial[: self.count])
+        self._sorted = axial[self.order], self.cosine[self.order], self.sine[self.order]
 
     def over_first(
         self, point: Float[np.ndarray, "m 3"], labels: Int[np.ndarray, "m k"]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Leads of all labels but the first over the first, [m, k - 1], and their gradients [m, k - 1, 3]."""
-        own, labels, point = labels[:, :1], labels[:, 1:], point[:, None]
-        turned = self.direction[labels] - self.direction[own]
-        height = (point[..., 1:] * self.direction[own]).sum(axis=-1)
-        turn = (point[..., 1:] * turned).sum(axis=-1)
+        """Leads of all labels but the first over the first, [m, k - 1], and their gradients [3, m, k - 1]."""
+        own, labels, (x, y, z) = labels[:, :1], labels[:, 1:], point.T[..., None]
+        cosine, sine, middle = self.cosine[own], self.sine[own], self.axial[own]
+        turned_y, turned_z = self.cosine[labels] - cosine, self.sine[labels] - sine
+        height, turn = y * cosine + z * sine, y * turned_y + z * turned_z
         foot, own_foot = np.maximum(height + turn, self.inner), np.maximum(height, self.inner)
-        gap, rise = self.axial[labels] - self.axial[own], foot - own_foot
+        gap, rise = self.axial[labels] - middle, foot - own_foot
         # written in differences: loses no digits where the cells are close
-        lead = gap * (2 * point[..., 0] - self.axial[labels] - self.axial[own])
-        lead += rise * (2 * height - foot - own_foot) + 2 * foot * turn
-        across = foot[..., None] * turned + rise[..., None] * self.direction[own]
-        slope = 2 * np.concatenate([gap[..., None], across], axis=-1)
+        lead = gap * (2 * (x - middle) - gap) + rise * (2 * height - foot - own_foot) + 2 * foot * turn
+        slope = np.stack([gap, foot * turned_y + rise * cosine, foot * turned_z + rise * sine])
+        slope *= 2
         row, column = np.nonzero(labels >= self.count)
         for bound in range(BOUNDS) if len(row) else ():
             at = labels[row, column] == self.count + bound
             here = row[at], column[at]
-            lead[here], slope[here] = self._over_bound(bound, point[row[at], 0])
+            lead[here], slope[:, here[0], here[1]] = self.over_bound(bound, point[row[at]])
         return lead, slope
 
-    def _over_bound(self, bound: int, point: Float[np.ndarray, "m 3"]) -> tuple[np.ndarray, np.ndarray]:
-        outward = (-1.0, 1.0)[bound % 2]
+    def over_bound(self, bound: int, point: Float[np.ndarray, "m 3"]) -> tuple[np.ndarray, np.ndarray]:
+        """Lead of a bound of the tissue, and its gradient [3, m]."""
+        outward, slope = (-1.0, 1.0)[bound % 2], np.zeros((3, len(point)))
         if bound < 2:
-            square = (point[:, 1:] ** 2).sum(axis=1) - (self.inner, self.outer)[bound] ** 2
-            return outward * square, outward * 2 * point * [0, 1, 1]
-        return outward * (point[:, 0] - (0, self.length)[bound - 2]), np.tile(
-            [outward, 0, 0], (len(point), 1)
-        )
+            slope[1:] = 2 * outward * point.T[1:]
+            square = point[:, 1] ** 2 + point[:, 2] ** 2 - (self.inner, self.outer)[bound] ** 2
+            return outward * square, slope
+        slope[0] = outward
+        return outward * (point[:, 0] - (0, self.length)[bound - 2]), slope
+
+    def bend(
+        self, point: Float[np.ndarray, "m 3"], labels: Int[np.ndarray, "m k"], ahead: Float[np.ndarray, "m 3"]
+    ) -> Float[np.ndarray, "m k-1"]:
+        """Second derivatives, along straight lines ahead, of the leads of all labels but the first over it."""
+        cosine, sine = self.cosine[labels], self.sine[labels]
+        (_, y, z), (_, along_y, along_z) = point.T[..., None], ahead.T[..., None]
+        bend = 2 * (y * cosine + z * sine > self.inner) * (along_y * cosine + along_z * sine) ** 2
+        bend = bend[:, 1:] - bend[:, :1]
+        row, column = np.nonzero(labels[:, 1:] >= self.count)
+        if len(row):
+            factor = np.array([-2.0, 2.0, 0.0, 0.0])[labels[row, column + 1] - self.count]
+            bend[row, column] = factor * (along_y**2 + along_z**2)[row, 0]
+        return bend
+
+    def curve(
+        self, point: Float[np.ndarray, "m 3"], labels: Int[np.ndarray, "m 3"]
+    ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
+        """Unit tangents of edges, along the cross product of the two gradients, and their derivatives."""
+        first, second = np.moveaxis(self.over_first(point, labels)[1], -1, 0)
+        along = cross(first, second)
+        size = np.maximum(np.sqrt(dot(along, along)), TINY)
+        along /= size
+        one, two = self.bend(point, labels, along.T).T
+        turn = (two * cross(first, along) - one * cross(second, along)) / size
+        return along.T.copy(), turn.T.copy()
 
     def tangent(
         self, point: Float[np.ndarray, "m 3"], labels: Int[np.ndarray, "m 3"]
     ) -> Float[np.ndarray, "m 3"]:
-        """Unit tangents of edges, along the cross product of the two gradients."""
-        slope = self.over_first(point, labels)[1]
-        cross = np.cross(slope[:, 0], slope[:, 1])
-        return cross / np.maximum(np.linalg.norm(cross, axis=-1, keepdims=True), TINY)
+        """Unit tangents of edges, as in `curve`."""
+        along = cross(*np.moveaxis(self.over_first(point, labels)[1], -1, 0))
+        return (along / np.maximum(np.sqrt(dot(along, along)), TINY)).T.copy()
 
     def solve(
-        self, point: Float[np.ndarray, "m 3"], labels: Int[np.ndarray, "m k"], turns: int
-    ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
-        """Where four labels lead equally, or three and nearest to the point, by Newton; and the last step."""
-        step = np.zeros_like(point)
-        for _ in range(turns):
-            lead, slope = self.over_first(point, labels)
-            norm = np.maximum(np.linalg.norm(slope, axis=-1), TINY)
-            rows, side = slope / norm[..., None], lead / norm
-            if rows.shape[1] == 2:
-                rows = np.append(rows, np.cross(rows[:, :1], rows[:, 1:]), axis=1)
-                side = np.append(side, np.zeros_like(side[:, :1]), axis=1)
-            dual = np.cross(rows[:, [1, 2, 0]], rows[:, [2, 0, 1]])
-            volume = (rows[:, 0] * dual[:, 0]).sum(axis=-1)
-            volume = np.where(np.abs(volume) > 1e-12, volume, np.nan)  # parallel walls don't meet
-            step = (dual * side[..., None]).sum(axis=1) / volume[:, None]
-            point = point - step
-        return point, np.abs(step).max(axis=-1, initial=0)
+        self, point: Float[np.ndarray, "m 3"], labels: Int[np.ndarray, "m k"], small: Float[np.ndarray, " m"]
+    ) -> tuple[Float[np.ndarray, "m 3"], Bool[np.ndarray, " m"]]:
+        """Where four labels lead equally, or three and nearest to the point, by Newton; and whether its last
+        step was a small one."""
+        point, done, open_ = point.copy(), np.zeros(len(point), bool), np.arange(len(point))
+        for _ in range(TURNS):
+            step = self._newton(point[open_], labels[open_])
+            point[open_] -= step.T
+            done[open_] = np.abs(step).max(axis=0, initial=0) < small[open_]
+            open_ = open_[~done[open_]]
+            if not len(open_):
+                break
+        return point, done
+
+    def _newton(self, point: np.ndarray, labels: np.ndarray) -> Float[np.ndarray, "3 m"]:
+        lead, slope = self.over_first(point, labels)
+        rows, scale = list(np.moveaxis(slope, -1, 0)), dot(slope, slope).prod(axis=1)
+        rows += [cross(*rows)] if len(rows) == 2 else []
+        dual = [cross(rows[i - 2], rows[i - 1]) for i in range(3)]
+        volume = dot(rows[0], dual[0])
+        parallel = volume**2 <= 1e-24 * (scale if lead.shape[1] == 3 else scale**2)  # such walls don't meet
+        return sum(side * row for side, row in zip(lead.T, dual, strict=False)) / np.where(
+            parallel, np.nan, volume
+        )
 
     def foremost(
+        self, point: Float[np.ndarray, "m 3"], labels: Int[np.ndarray, "m k"]
+    ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        """The label, beside the given ones, that leads most, and the distance gone beyond its wall."""
+        still = np.zeros_like(point)
+        return self.look(point, labels, still, still, np.zeros(len(point)))[:2]
+
+    def look(
         self,
         point: Float[np.ndarray, "m 3"],
         labels: Int[np.ndarray, "m k"],
         ahead: Float[np.ndarray, "m 3"],
+        turn: Float[np.ndarray, "m 3"],
+        reach: Float[np.ndarray, " m"],
     ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """The label, beside the given ones, that leads most, the distance gone beyond its wall (negative: to
-        go), and how far one may go `ahead` before an unseen wall could be crossed and crossed back."""
-        parts = [
-            self._foremost(point[at : at + BLOCK], labels[at : at + BLOCK], ahead[at : at + BLOCK])
-            for at in range(0, max(len(point), 1), BLOCK)
-        ]
-        label, beyond, safe = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return label, beyond, safe
+        """What `foremost` gives, and how far, `reach` at most, one may go ahead along a curve of given
+        tangent and its derivative before an unseen wall could be crossed and crossed back.
 
-    def _foremost(self, point: np.ndarray, labels: np.ndarray, ahead: np.ndarray) -> tuple[np.ndarray, ...]:
-        own = labels[:, 0]
-        (x, y, z), (along_x, along_y, along_z) = point.T[..., None], ahead.T[..., None]
-        rivals = self.rivals[own]
-        gap, middle, turned_y, turned_z, chord = (table[own] for table in self._pairs)
-        cosine, sine = self.direction[own].T[..., None]
-        height = y * cosine + z * sine
-        own_foot = np.maximum(height, self.inner)
-        turn = y * turned_y + z * turned_z
-        foot = np.maximum(height + turn, self.inner)
-        rise = foot - own_foot
-        lead = gap * (2 * x - middle) + rise * (2 * height - foot - own_foot) + 2 * foot * turn
-        norm = 2 * np.sqrt(gap**2 + rise**2 + foot * own_foot * chord) + TINY
-        rate = gap * along_x + rise * (along_y * cosine + along_z * sine)
-        rate += foot * (turned_y * along_y + turned_z * along_z)
-        beyond, rate = lead / norm, 2 * rate / norm
+        Distances change no faster than places, so whoever leads within reach is at most as far as the own backbone comes
+        to be, and reach more; and |x_j - x| <= d_j: no list of rivals is needed.
+        """
+        if not len(point):
+            return np.zeros(0, int), np.zeros(0), np.zeros(0)
+        row, rival = self._near(point, self._span(point, labels[:, 0], ahead, reach))
+        pair = np.stack([labels[row, 0], rival], axis=1)
+        lead, slope = self.over_first(point[row], pair)
+        bend = self.bend(point[row], pair, ahead[row])
+        bounds = [self.over_bound(bound, point) for bound in range(BOUNDS)]
+        flat = 2 * (ahead[:, 1] ** 2 + ahead[:, 2] ** 2)
+        lead = np.concatenate([lead[:, 0], *(bound[0] for bound in bounds)])
+        slope = np.concatenate([slope[..., 0], *(bound[1] for bound in bounds)], axis=1)
+        bend = np.concatenate([bend[:, 0], -flat, flat, 0 * flat, 0 * flat])
+        row = np.append(row, np.tile(np.arange(len(point)), BOUNDS))
+        rival = np.append(rival, np.repeat(self.count + np.arange(BOUNDS), len(point)))
+        norm = np.sqrt(dot(slope, slope)) + TINY
+        beyond, rate = lead / norm, dot(slope, ahead.T[:, row]) / norm
+        safe = until(beyond, rate, (bend + dot(slope, turn.T[:, row])) / norm, reach[row])
+        known = (labels[row] == rival[:, None]).any(axis=1)
+        beyond[known], safe[known] = -np.inf, np.inf
+        order = np.argsort(row, kind="stable")
+        row, rival, beyond, safe = row[order], rival[order], beyond[order], safe[order]
+        start = np.searchsorted(row, np.arange(len(point)))
+        most = np.maximum.reduceat(beyond, start)
+        best = np.flatnonzero(beyond == most[row])[::-1]
+        label = np.zeros(len(point), int)
+        label[row[best]] = rival[best]
+        return label, most, np.minimum(np.minimum.reduceat(safe, start), reach)
 
-        bounds = np.tile(self.count + np.arange(BOUNDS), (len(own), 1))
-        lead, slope = self.over_first(point, np.append(own[:, None], bounds, axis=1))
-        norm = np.linalg.norm(slope, axis=-1) + TINY
-        rivals, beyond = np.append(rivals, bounds, axis=1), np.append(beyond, lead / norm, axis=1)
-        rate = np.append(rate, np.einsum("mkj,mj->mk", slope, ahead) / norm, axis=1)
-        for column in labels.T[:, :, None]:
-            beyond[rivals == column] = -np.inf
-        first, rows = beyond.argmax(axis=1), np.arange(len(own))
-        # 1.5: one step passes a wall that is met head-on
-        safe = 1.5 * np.maximum(-beyond, 0) / (np.maximum(rate, 0) + BEND)
-        safe = np.where(rate > -BEND, safe, np.inf).min(axis=1)
-        return rivals[rows, first], beyond[rows, first], safe
+    def _span(self, point: np.ndarray, own: np.ndarray, ahead: np.ndarray, reach: np.ndarray) -> np.ndarray:
+        """How far backbones may be that come to be as near as the own one within reach, on a curve that
+        strays by a fifth of its length from its tangent."""
+        y, z = point[:, 1], point[:, 2]
+        foot = np.maximum(y * self.cosine[own] + z * self.sine[own], self.inner)
+        away = point - np.stack([self.axial[own], foot * self.cosine[own], foot * self.sine[own]], axis=1)
+        later = away + reach[:, None] * ahead
+        square = np.maximum((away**2).sum(axis=1), (later**2).sum(axis=1))
+        return np.sqrt(square) + 1.2 * reach + 1e-9 * self.size
+
+    def _near(self, point: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points and backbones at most `span` apart, by point."""
+        axial, cosine, sine = self._sorted
+        first = np.searchsorted(axial, point[:, 0] - span)
+        size = np.searchsorted(axial, point[:, 0] + span, side="right") - first
+        within = span**2 - point[:, 1] ** 2 - point[:, 2] ** 2
+        ends = np.searchsorted(np.cumsum(size), np.arange(0, size.sum(), BLOCK)[1:])
+        cuts, rows, rivals = np.unique([0, *ends, len(size)]), [np.zeros(0, int)], [np.zeros(0, int)]
+        for start, stop in zip(cuts[:-1], cuts[1:], strict=True):
+            row, place = ranges(first[start:stop], size[start:stop])
+            row += start
+            x, y, z = point[row].T
+            height = y * cosine[place] + z * sine[place]
+            foot = np.maximum(height, self.inner)
+            near = (x - axial[place]) ** 2 - foot * (2 * height - foot) <= within[row]
+            rows.append(row[near])
+            rivals.append(self.order[place[near]])
+        return np.concatenate(rows), np.concatenate(rivals)
+
+
+def until(beyond: np.ndarray, rate: np.ndarray, bend: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """How far one may go before a wall could be crossed and crossed back: beyond + rate s + bend s^2 / 2 is
+    taken to rise by up to SLACK / reach s^2 / 2 more; 1.5 times it, so that one step passes a wall."""
+    beyond = np.minimum(beyond, 0)
+    half = (bend + SLACK / np.maximum(reach, TINY)) / 2
+    root = np.sqrt(np.maximum(rate**2 - 4 * half * beyond, 0))
+    met = rate**2 >= 4 * half * beyond
+    late = np.where(half > 0, (root - rate) / np.where(half > 0, 2 * half, 1), np.inf)
+    first = np.where(rate < 0, late, -2 * beyond / np.maximum(rate + root, TINY))
+    # crossed back after -2 rate / bend less the first crossing: half-way there at most
+    back = np.where((bend < 0) & (rate > 0), rate / np.maximum(-bend, TINY), np.inf)
+    return np.where(met, np.minimum(1.5 * first, np.maximum(back, first)), np.inf)

@@ -2,18 +2,16 @@
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from jaxtissue.candidates import find_candidates, sided, survey_tissue
 from jaxtissue.contacts import Faces, find_faces
 from jaxtissue.edges import EdgeGraph, trace_edges
-from jaxtissue.lines import PRESETS, Resolution
 from jaxtissue.tube import Tube
 
+GAP = 1e-9  # of R_b: a gap in a silhouette that is no error of rounding
 
 @dataclass(frozen=True)
 class Transitions:
@@ -59,33 +57,71 @@ def find_transitions(
 
 
 def find_forms(
-    positions: Float[ArrayLike, "n 2"],
-    tube: Tube,
-    resolution: Resolution = PRESETS["standard"],
-    edges: EdgeGraph | None = None,
+    positions: Float[ArrayLike, "n 2"], tube: Tube, edges: EdgeGraph | None = None
 ) -> CellForms:
     """Which cells wrap round the lumen, and how many parts each has.
 
-    A cell is one interval on each line parallel to the axis, and wraps if it is met on all lines round some
-    layer of the resolution. Its parts are the connected parts of its boundary. Positions as (axial, angle),
-    [n, 2]; `edges` spares tracing them anew.
+    A cell is one interval on each line parallel to the axis, so the lines that meet it are bounded, in radius
+    and angle, by its *silhouette*: its edges with one cell or end of the tube ahead and one behind. It wraps
+    if at some radius there is no silhouette, as its own backbone is within. Its parts are the connected parts
+    of its boundary. Positions as (axial, angle), [n, 2]; `edges` spares tracing them anew.
 
     >>> find_forms([[2, 0], [8, 0]], Tube(10, 1, 3))
     CellForms(is_ring=array([ True,  True]), pieces=array([1, 1]))
     """
-    place, n = np.asarray(positions, float), len(np.asarray(positions))
-    if n == 1:
+    place = np.asarray(positions, float)
+    if len(place) == 1:
         return CellForms(np.ones(1, bool), np.ones(1, int))
-    sides = sided(find_candidates(place, tube), place, tube)
-    _, survey, lines = survey_tissue(jnp.asarray(place), tube, sides, resolution, surfaces=True)
-    reach, limit, offset = np.asarray(survey.reach), np.asarray(survey.limit), lines.offset[:, None]
-    filled = (reach.sum(axis=1) > 0) & (offset >= -limit[0]) & (offset <= limit[1])
-    is_ring = np.zeros(n, bool)
-    for layer, (circle, half) in enumerate(zip(lines.circle, lines.half, strict=True)):
-        if 2 * half >= circle:
-            is_ring |= filled[lines.layer == layer].all(axis=0)
     graph = trace_edges(place, tube) if edges is None else edges
-    return CellForms(is_ring, _count_pieces(graph, find_faces(place, tube, graph)))
+    return CellForms(_find_rings(place, tube, graph), _count_pieces(graph, find_faces(graph)))
+
+
+def _find_rings(place: np.ndarray, tube: Tube, graph: EdgeGraph) -> Bool[np.ndarray, " n"]:
+    """Cells whose silhouette leaves out some radius."""
+    n, inner, outer = graph.cells, float(tube.apical_radius), float(tube.basal_radius)
+    low, high = _radial_ranges(graph)
+    ahead = np.concatenate([place[:, 0], [np.nan, np.nan, -np.inf, np.inf]])  # no silhouette on the surfaces
+    cells, edges = [np.arange(n)], [np.full(n, -1)]
+    for own, first, second in ((0, 1, 2), (1, 0, 2), (2, 0, 1)):
+        cell, one, two = graph.edge_labels[:, [own, first, second]].T
+        middle = ahead[np.minimum(cell, n)]
+        side_one, side_two = np.sign(ahead[one] - middle), np.sign(ahead[two] - middle)
+        silhouette = np.flatnonzero(side_one * side_two <= 0)  # 0: of the radial wall to a backbone abreast
+        cells.append(cell[silhouette])
+        edges.append(silhouette)
+    cell, edge = np.concatenate(cells), np.concatenate(edges)
+    low, high = np.append(low, inner)[edge], np.append(high, inner)[edge]  # the first row of each is empty
+    order = np.lexsort((low, cell))
+    cell, low, high = cell[order], low[order], high[order]
+    # the highest so far within each cell: sorted by cell, so cells are set apart by more than any radius
+    apart = 2 * outer * cell
+    high = np.maximum.accumulate(high + apart) - apart
+    last = np.append(cell[1:] != cell[:-1], True)
+    following = np.where(last, outer, np.append(low[1:], outer))
+    return np.bincount(cell, following > high + GAP * outer, n) > 0
+
+
+def _radial_ranges(graph: EdgeGraph) -> tuple[Float[np.ndarray, " e"], Float[np.ndarray, " e"]]:
+    """Least and greatest radius on each edge; within segments, of the cubic through its ends."""
+    ends, tangents = graph.points, graph.tangents
+    radius = np.hypot(ends[..., 1], ends[..., 2])
+    rise = (ends[..., 1:] * tangents[..., 1:]).sum(axis=-1) / radius
+    rise *= np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)[:, None]
+    # between the ends, where the derivative of the cubic vanishes: c + 2 b s + a s^2 = 0
+    gain = radius[:, 1] - radius[:, 0]
+    c, b, a = rise[:, 0], 3 * gain - 2 * rise[:, 0] - rise[:, 1], 3 * (rise[:, 0] + rise[:, 1] - 2 * gain)
+    root = np.sqrt(np.maximum(b**2 - a * c, 0))
+    low, high = radius.min(axis=1), radius.max(axis=1)
+    for q in (-(b + np.where(b < 0, -root, root)),):
+        for s in (q / np.where(a == 0, np.inf, a), c / np.where(q == 0, np.inf, q)):
+            s = np.clip(np.where(b**2 >= a * c, s, 0), 0, 1)
+            value = radius[:, 0] + s * (c + s * (b + s * a / 3))
+            low, high = np.minimum(low, value), np.maximum(high, value)
+    count = len(graph.edge_labels)
+    lowest, highest = np.full(count, np.inf), np.zeros(count)
+    np.minimum.at(lowest, graph.segment_edge, low)
+    np.maximum.at(highest, graph.segment_edge, high)
+    return lowest, highest
 
 
 def _count_pieces(graph: EdgeGraph, faces: Faces) -> Int[np.ndarray, " n"]:

@@ -1,0 +1,146 @@
+"""Points that move along the diagram's edges, step by step, each to the vertex that ends its edge."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxtissue.leads import TINY, TOUCH, Leads
+
+STEP = 0.6  # longest step, in mean cell widths at the local radius
+TURN = 0.4  # longest step, in radii of curvature
+BENT = 0.85  # cosine of the most that an edge may turn in a step
+FINE = 0.3  # most that edges turn, in radians, in the segments that are kept
+STRAY = 3e-4  # of its length: most by which an edge leaves the cubic through the ends of a segment
+ENOUGH = 1e-7  # of a step: Newton's next step is its square
+GOING, HOME, LOST = -1, -2, -3  # nobody met yet; back where the front began; the step was too long
+
+
+class Fronts(NamedTuple):
+    """Points on edges, where they go, and what they left: 4 vertex + place of the label not on the edge, or
+    -1 within an edge."""
+
+    number: Int[np.ndarray, " m"]
+    end: Int[np.ndarray, " m"]
+    labels: Int[np.ndarray, "m 3"]
+    sign: Float[np.ndarray, " m"]  # along the edge's tangent, or against it
+    start: Float[np.ndarray, "m 3"]
+    point: Float[np.ndarray, "m 3"]
+    ahead: Float[np.ndarray, "m 3"]
+    turn: Float[np.ndarray, "m 3"]  # derivative of ahead
+    longest: Float[np.ndarray, " m"]  # step
+    safe: Float[np.ndarray, " m"]  # step that crosses no wall unseen
+    gone: Float[np.ndarray, " m"]
+
+    def of(self, chosen: np.ndarray) -> "Fronts":
+        """Some of the fronts, by mask or place."""
+        return Fronts(*(column[chosen] for column in self))
+
+    def join(self, other: "Fronts") -> "Fronts":
+        """These fronts and others."""
+        return Fronts(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+
+
+def begin(
+    point: Float[np.ndarray, "m 3"],
+    labels: Int[np.ndarray, "m 3"],
+    sign: Float[np.ndarray, " m"],
+    end: Int[np.ndarray, " m"],
+    number: int,
+    leads: Leads,
+) -> Fronts:
+    """Fronts that start at points, numbered from `number` on."""
+    ahead, turn = leads.curve(point, labels)
+    ahead, longest = sign[:, None] * ahead, widest(point, turn, leads)
+    safe = leads.look(point, labels, ahead, turn, longest)[2]
+    numbers = number + np.arange(len(point))
+    return Fronts(numbers, end, labels, sign, point, point, ahead, turn, longest, safe, np.zeros(len(point)))
+
+
+def widest(point: Float[np.ndarray, "m 3"], turn: Float[np.ndarray, "m 3"], leads: Leads) -> np.ndarray:
+    """The longest step allowed at points of edges of given curvature."""
+    width = np.sqrt(2 * np.pi * leads.length / leads.count * np.hypot(point[:, 1], point[:, 2]))
+    return np.minimum(STEP * width, TURN / np.maximum(np.sqrt((turn**2).sum(axis=1)), TINY))
+
+
+def step(fronts: Fronts, leads: Leads) -> tuple[Fronts, Int[np.ndarray, " m"]]:
+    """One step of every front, and who is met: a label, GOING, HOME, or LOST for a step to be tried shorter."""
+    old, longest = fronts.point, fronts.longest
+    size = np.minimum(longest, np.maximum(fronts.safe, longest / 20))
+    moved, met = advance(fronts, size, leads)
+    good = met != LOST
+    home = (fronts.end < 0) & (fronts.gone > 3 * size) & good
+    home &= passes(fronts.start, old, moved.point, size / 5)
+    moved.point[home], met[home] = fronts.start[home], HOME
+    moved = Fronts(*(np.where(good if new.ndim == 1 else good[:, None], new, was) for new, was in zip(moved, fronts, strict=True)))
+    moved.longest[~good] = size[~good] / 4
+    return moved, met
+
+
+def passes(target: np.ndarray, start: np.ndarray, stop: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """Whether a target lies beside the way from start to stop."""
+    way, off = stop - start, target - start
+    share = (off * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), TINY)
+    return (share > 0) & (share <= 1) & (np.linalg.norm(off - share[:, None] * way, axis=1) < within)
+
+
+def advance(fronts: Fronts, size: np.ndarray, leads: Leads) -> tuple[Fronts, np.ndarray]:
+    """The fronts a step on, and who is met.
+
+    Whoever leads at the new point ends the edge before it, at the vertex with them.
+    """
+    near, start, labels = TOUCH * leads.size, fronts.point, fronts.labels
+    far = size[:, None]
+    guess = start + far * fronts.ahead + far**2 / 2 * fronts.turn
+    point, found = leads.solve(guess, labels, np.maximum(ENOUGH * size, near))
+    met = np.where(found, GOING, LOST)
+    point[~found] = start[~found]
+    ahead, turn = leads.curve(point, labels)
+    ahead *= fronts.sign[:, None]
+    reach = widest(point, turn, leads)
+    rival, beyond, safe = leads.look(point, labels, ahead, turn, reach)
+    open_ = np.flatnonzero((met == GOING) & (beyond > near))
+    for _ in range(8):  # each vertex lies before the last, until nobody leads there
+        met[open_] = rival[open_]
+        four = np.append(labels[open_], met[open_, None], axis=1)
+        point[open_], found = leads.solve(point[open_], four, np.full(len(open_), near))
+        met[open_[~found]], open_, four = LOST, open_[found], four[found]
+        rival[open_], beyond[open_] = leads.foremost(point[open_], four)
+        open_ = open_[beyond[open_] > near]
+        if not len(open_):
+            break
+    met[open_] = LOST
+    point = np.where(met[:, None] == LOST, start, point)
+    ends = np.flatnonzero(met >= 0)
+    ahead[ends] = fronts.sign[ends, None] * leads.tangent(point[ends], labels[ends])
+    _, slope = leads.over_first(point[ends], np.stack([labels[ends, 0], met[ends]], axis=1))
+    leaving = (slope[..., 0].T * ahead[ends]).sum(axis=1) <= 0  # a vertex that begins the edge, not ends it
+    moved = ((point - start) * fronts.ahead).sum(axis=1)
+    bad = (moved < -near) | (moved > 2 * size) | ((ahead * fronts.ahead).sum(axis=1) < BENT)
+    met[bad], met[ends[leaving]] = LOST, LOST
+    moved = fronts._replace(point=point, ahead=ahead, turn=turn, longest=np.minimum(4 * fronts.longest, reach), safe=safe)
+    return moved._replace(gone=fronts.gone + size), met
+
+
+def refine(
+    points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"], leads: Leads
+) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 2 3"], Int[np.ndarray, " t"]]:
+    """Segments of edges halved until they hardly turn, and follow the cubic through their ends: points, unit tangents, and which segment each is of."""
+    tangents = leads.tangent(points.reshape(-1, 3), np.repeat(labels, 2, axis=0)).reshape(-1, 2, 3)
+    segment = new = np.arange(len(points))
+    for _ in range(6):
+        turn = tangents[new, 0] - tangents[new, 1]
+        chord = np.linalg.norm(points[new, 1] - points[new, 0], axis=1)
+        guess = points[new].mean(axis=1) + chord[:, None] / 8 * turn
+        middle, found = leads.solve(guess, labels[segment[new]], ENOUGH * chord)
+        stray = np.linalg.norm(middle - guess, axis=1) > STRAY * chord
+        split = found & (stray | ((turn**2).sum(axis=1) > FINE**2))
+        bent, middle = new[split], middle[split]
+        along = leads.tangent(middle, labels[segment[bent]])
+        new = np.append(bent, len(points) + np.arange(len(bent)))
+        points = np.concatenate([points, np.stack([middle, points[bent, 1]], axis=1)])
+        tangents = np.concatenate([tangents, np.stack([along, tangents[bent, 1]], axis=1)])
+        points[bent, 1], tangents[bent, 1] = middle, along
+        segment = np.append(segment, segment[bent])
+    order = np.argsort(segment, kind="stable")
+    return points[order], tangents[order], segment[order]
