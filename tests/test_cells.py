@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import REFERENCES, read_reference
 
-from jaxtissue.candidates import find_candidates, measure_tissue, sided, survey_tissue, tiling_defect
+from jaxtissue.candidates import REACH, find_candidates, measure_tissue, sided, tiling_defect
 from jaxtissue.cells import CellGeometry, measure_cells
 from jaxtissue.exact import exact_cells
 from jaxtissue.lines import PRESETS, plan_lines
@@ -41,7 +41,8 @@ def table(cells: CellGeometry) -> np.ndarray:
 def measure_among_all(positions, tube: Tube, preset: str = "standard") -> CellGeometry:
     """Sizes of the cells where everyone is everyone's candidate."""
     everyone = np.broadcast_to(np.arange(len(positions), dtype=np.int32), (len(positions),) * 2)
-    return survey_tissue(positions, tube, sided(everyone, positions, tube), PRESETS[preset], surfaces=True)[0]
+    lines = plan_lines(tube, len(positions), PRESETS[preset], REACH, surfaces=True)
+    return jax.jit(measure_cells)(positions, tube, lines, sided(everyone, positions, tube))[0]
 
 
 def random_positions(n: int, tube: Tube = TUBE, seed: int = 0) -> jax.Array:
@@ -190,8 +191,21 @@ def test_alarms_ring(tissue) -> None:
     assert tiling_defect(positions, tube, jnp.asarray(sides)) < 1e-5
     # the length of that wall's shadow is counted twice
     assert tiling_defect(positions, tube, jnp.asarray(short)) > 0.01
-    lines = plan_lines(tube, len(positions), PRESETS["draft"], reach=0.3)
-    narrow, survey = jax.jit(measure_cells, static_argnums=2)(positions, tube, lines, jnp.asarray(sides))
-    whole, _, _ = survey_tissue(positions, tube, sides, PRESETS["standard"], surfaces=True)
-    lost = np.asarray(narrow.volume < 0.9 * whole.volume)
-    assert lost.any() and np.asarray(survey.overflow)[lost].all()
+
+
+@pytest.mark.parametrize("reach", [0.3, 1.0, 20.0])
+def test_the_width_of_windows_changes_nothing(tissue, reach: float) -> None:
+    tube, positions, _ = tissue
+    positions = jnp.asarray(positions, jnp.float32)
+    sides = sided(find_candidates(positions, tube), positions, tube)
+    measure = jax.jit(measure_cells)
+    usual, narrow = (
+        measure(positions, tube, plan_lines(tube, len(positions), PRESETS["draft"], width), sides)
+        for width in (REACH, reach)
+    )
+    if reach < 1:
+        assert narrow[1].reach.shape[2] < 0.2 * usual[1].reach.shape[2]
+    # float32: summed in another order
+    np.testing.assert_allclose(narrow[0].volume, usual[0].volume, rtol=1e-5)
+    np.testing.assert_allclose(narrow[0].lateral_area, usual[0].lateral_area, rtol=1e-5)
+    np.testing.assert_array_equal(narrow[1].touched, usual[1].touched)

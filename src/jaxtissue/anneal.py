@@ -11,15 +11,12 @@ from jaxtyping import Array, Float, Int
 from scipy import sparse
 
 from jaxtissue.candidates import (
-    REACH,
     around,
     clearance,
     contact_graph,
     find_candidates,
-    hop_lists,
     nearest_sides,
     padded,
-    sided,
 )
 from jaxtissue.cells import CellGeometry, Survey, measure_cells
 from jaxtissue.coloring import color, distance_conflicts, hop_conflicts
@@ -29,6 +26,7 @@ from jaxtissue.metropolis import (
     Neighborhoods,
     SweepInfo,
     TissueState,
+    move_bound,
     sweep,
     tissue_state,
 )
@@ -37,10 +35,14 @@ from jaxtissue.spread import covering_radius
 ALGORITHMS = ("is-mh", "mh")
 CONFLICTS = ("2-hop", "3-hop", "4-hop", "8-phi")
 SPAN = 5  # sweeps between renewals of lists and rounds, at the sweeps that it divides
-CANDIDATES = 16  # on each side of a cell during a sweep: twice as many as bound a cell in 99 % of cases
-NARROW = 1.5  # mean cell widths on either side of a backbone that the narrow windows cover
+CANDIDATES = 24  # on each side of a cell during a sweep: three times as many as bound a cell
+MARGIN = 4  # longest moves by which a candidate may lie on the other side of a cell
+WINDOW = (
+    1.5  # mean cell widths on either side of a backbone that the first window of lines covers: most cells
+)
 ROUNDS = 42  # sets that the cells are spread over at least: coloring 3 hops takes 33 to 46
 CAPACITY = 64  # rounds are padded to a multiple of it
+SPARSE = Resolution(4, 2)  # lines on which it is seen how clear of a cell its candidates are
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
 
 
@@ -59,11 +61,10 @@ class Measured(NamedTuple):
 
 
 class AnnealState(NamedTuple):
-    """All that a run needs to go on to the bit: sweeps done, backbones, their candidates."""
+    """All that a run needs to go on to the bit: sweeps done, backbones."""
 
     sweep: int
     positions: Float[np.ndarray, "n 2"]
-    neighbors: Int[np.ndarray, "n candidates"]
 
 
 class SweepRecord(NamedTuple):
@@ -114,11 +115,14 @@ def has_stalled(energies: Sequence[float], patience: int) -> bool:
 
 
 def look(
-    positions: Float[Array, "n 2"], model: Model, lines: Lines, sides: Int[Array, "n 2 candidates"]
+    positions: Float[Array, "n 2"],
+    model: Model,
+    lines: tuple[Lines, Lines],
+    sides: Int[Array, "n 2 candidates"],
 ) -> tuple[Survey, Float[Array, "n 2 candidates"]]:
-    """Measure a whole tissue, and how clear of each cell its candidates are."""
-    _, seen = measure_cells(positions, model.tube, lines, sides)
-    return seen, clearance(positions, model.tube, lines, sides, seen)
+    """Measure a whole tissue, and on fewer lines how clear of each cell its candidates are."""
+    _, seen = measure_cells(positions, model.tube, lines[0], sides)
+    return seen, jnp.where(seen.touched, -1, clearance(positions, model.tube, lines[1], sides))
 
 
 def play(
@@ -187,14 +191,11 @@ class Annealer:
         self.compile_seconds = 0.0
         self._compiled: dict[Any, Callable] = {}
         self._last: tuple[AnnealState, Measured] | None = None
+        self._around = 48
 
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
         """The state before the first sweep."""
-        begin = time.perf_counter()
-        place = jnp.asarray(positions, jnp.result_type(float))
-        lists = self._fit(find_candidates(place, self.model.tube), place)
-        self.compile_seconds += time.perf_counter() - begin
-        return self._renew(AnnealState(0, np.asarray(place), lists))
+        return AnnealState(0, np.asarray(positions, jnp.result_type(float)))
 
     def record(self, state: AnnealState) -> SweepRecord:
         """The row of a state as it is, such as the initial one."""
@@ -219,37 +220,68 @@ class Annealer:
     def _play(
         self, state: AnnealState, plan: list[Int[np.ndarray, "rounds width"]], sweeps: int
     ) -> tuple[AnnealState, Trail, float]:
-        """Play the plan's rounds, sweep by sweep, on one set of candidate lists; in two halves where the lists
-        turn out too short."""
-        measured, n = self._measure(state), len(state.positions)
+        """Play the plan's rounds, sweep by sweep, on one set of candidate lists.
+
+        Where a cell turns out to have lacked a candidate, it is listed and all is played again; in two halves,
+        with lists renewed between them, where it was not even among those looked at before.
+        """
+        measured = self._measure(state)
+        clear = measured.clear.copy()
+        while True:
+            near = self._near(measured.sides, clear)
+            after, trail = self._play_on(near, state, plan, sweeps)
+            fresh = self._measure(after)
+            missing = self._missing(fresh, near, trail)
+            if not len(missing):
+                break
+            if not _list_first(missing, measured.sides, clear):
+                if sweeps == 1 and len(plan[0]) == 1:
+                    break
+                self._last = state, measured
+                return self._play_halves(state, plan, sweeps)
+        sizes = (
+            (fresh.cells.volume[None], fresh.cells.lateral_area[None]),
+            (trail.volume[-1:], trail.lateral_area[-1:]),
+        )
+        energy, carried = (self._energies(*pair)[0, 0] for pair in sizes)
+        return after, trail, abs(energy - carried) / max(abs(energy), abs(carried), 1e-300)
+
+    def _play_on(
+        self,
+        near: Neighborhoods,
+        state: AnnealState,
+        plan: list[Int[np.ndarray, "rounds width"]],
+        sweeps: int,
+    ) -> tuple[AnnealState, Trail]:
+        """Play the plan on given lists."""
         capacity = -(-max(map(len, plan)) // CAPACITY) * CAPACITY
-        padded_plan = np.full((SPAN, capacity, plan[0].shape[1]), -1, np.int32)
-        counts = np.zeros(SPAN, np.int32)
-        temperatures = np.zeros(SPAN, measured.cells.volume.dtype)
+        rounds = np.full((SPAN, capacity, plan[0].shape[1]), -1, np.int32)
+        counts, temperatures = np.zeros(SPAN, np.int32), np.zeros(SPAN, state.positions.dtype)
         for k in range(sweeps):
-            padded_plan[k, : len(plan[k])], counts[k] = plan[k], len(plan[k])
+            rounds[k, : len(plan[k])], counts[k] = plan[k], len(plan[k])
             temperatures[k] = self.temperatures[state.sweep + k]
-        near = self._near(measured)
-        lines, wide = (self._plan(n, reach) for reach in (NARROW, REACH))
-        tissue = self._run(tissue_state, state.positions, measured.seen, lines, wide)
-        draw = np.uint32(self.seed), np.int32(state.sweep)
-        tissue, trail = self._run(
-            play, *draw, tissue, self.model, temperatures, near, (padded_plan, counts), lines
-        )
+        tissue = self._run(tissue_state, state.positions, self._measure(state).seen)
+        draw, order = (np.uint32(self.seed), np.int32(state.sweep)), (rounds, counts)
+        lines = self._plan(len(state.positions))
+        _, trail = self._run(play, *draw, tissue, self.model, temperatures, near, order, lines)
         trail = jax.tree.map(lambda leaf: np.asarray(leaf[:sweeps]), trail)
-        after = self._renew(state._replace(sweep=state.sweep + sweeps, positions=trail.positions[-1]))
-        fresh = self._measure(after).cells
-        stale = max(
-            float(np.abs(np.subtract(a, b[-1])).max())
-            for a, b in ((fresh.volume, trail.volume), (fresh.lateral_area, trail.lateral_area))
-        )
-        if stale > self._exactness and (sweeps > 1 or len(plan[0]) > 1):
-            return self._play_halves(state, plan, sweeps)
-        energy = [
-            self._energies(*sizes)[0][-1]
-            for sizes in ((fresh.volume[None], fresh.lateral_area[None]), trail[:2])
+        return AnnealState(state.sweep + sweeps, trail.positions[-1]), trail
+
+    def _missing(self, fresh: Measured, near: Neighborhoods, trail: Trail) -> Int[np.ndarray, "missing 2"]:
+        """Cells that are stopped by one that their few candidates lacked, and are not as they were carried along;
+        and those who stop them."""
+        cell, side, at = np.nonzero(np.asarray(fresh.seen.touched))
+        rival = fresh.sides[cell, side, at]
+        listed = (np.asarray(near.sides)[cell, side] == rival[:, None]).any(axis=1)
+        off = [
+            np.abs(np.subtract(measured, carried[-1]))[cell]
+            for measured, carried in (
+                (fresh.cells.volume, trail.volume),
+                (fresh.cells.lateral_area, trail.lateral_area),
+            )
         ]
-        return after, trail, abs(energy[0] - energy[1]) / max(*map(abs, energy), 1e-300)
+        stale = ~listed & (np.max(off, axis=0) > self._exactness)
+        return np.stack([cell, rival], axis=1)[stale]
 
     def _play_halves(self, state: AnnealState, plan: list, sweeps: int) -> tuple[AnnealState, Trail, float]:
         """Half of the sweeps, or of the one sweep's rounds, and the other half on new lists."""
@@ -265,45 +297,37 @@ class Annealer:
         info = jax.tree.map(lambda a, b: a + b, first.info, second.info)
         return after, second._replace(info=info), max(drift, more)
 
-    def _near(self, measured: Measured) -> Neighborhoods:
+    def _near(
+        self, sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"]
+    ) -> Neighborhoods:
         """The candidates of a few sweeps, of those measured."""
-        sides = nearest_sides(measured.sides, measured.clear, min(CANDIDATES, measured.sides.shape[2]))
-        lists = around(sides)
-        width = -(-lists.shape[1] // 8) * 8
-        self._around = max(getattr(self, "_around", 0), width)
-        return Neighborhoods(padded(lists, self._around), sides)
+        few = nearest_sides(sides, clear, min(CANDIDATES, sides.shape[2]))
+        lists = around(few)
+        self._around = max(self._around, -(-lists.shape[1] // 16) * 16)  # only grows, and seldom
+        return Neighborhoods(padded(lists, self._around), few)
 
-    def _renew(self, state: AnnealState) -> AnnealState:
-        """New candidate lists for backbones that have moved."""
-        measured = self._measure(state)
-        lists = hop_lists(measured.contacts, state.positions, self.model.tube)
-        width = state.neighbors.shape[1]
-        if lists.shape[1] > width:
-            lists = self._fit(lists, state.positions)
-        return state._replace(neighbors=padded(lists, width))
-
-    def _plan(self, cells: int, reach: float) -> Lines:
-        return plan_lines(self.model.tube, cells, self.resolution, reach)
+    def _plan(self, cells: int) -> Lines:
+        return plan_lines(self.model.tube, cells, self.resolution, WINDOW)
 
     def _measure(self, state: AnnealState) -> "Measured":
-        """Measure the whole tissue on the state's lists and lines; the last result is kept."""
-        if self._last and all(a is b for a, b in zip(self._last[0][1:], state[1:], strict=True)):
+        """Measure the whole tissue on complete lists; the last result is kept."""
+        if self._last and self._last[0].positions is state.positions:
             return self._last[1]
-        lists, tube = state.neighbors, self.model.tube
-        sides = padded(sided(lists, state.positions, tube), _side_width(lists.shape[1]))
-        lines = self._plan(len(lists), REACH)
-        seen, clear = self._run(look, state.positions, self.model, lines, sides)
+        place, tube = jnp.asarray(state.positions), self.model.tube
+        sides = self._find(place)
+        sparse_lines = plan_lines(tube, len(place), SPARSE)
+        lines = self._plan(len(place)), sparse_lines
+        seen, clear = self._run(look, place, self.model, lines, sides)
         self._last = state, Measured(seen, sides, np.asarray(clear), contact_graph(sides, seen.touched))
         return self._last[1]
 
-    def _fit(
-        self, lists: Int[np.ndarray, "n candidates"], positions: Float[Array | np.ndarray, "n 2"]
-    ) -> Int[np.ndarray, "n candidates"]:
-        """Candidate lists padded with room to grow, in both their forms: shapes then last for the run."""
-        width = -(-int(1.15 * lists.shape[1]) // 8) * 8
-        while _side_width(width) < 1.1 * sided(lists, positions, self.model.tube).shape[2]:
-            width += 8
-        return padded(lists, width)
+    def _find(self, place: Float[Array, "n 2"]) -> Int[np.ndarray, "n 2 candidates"]:
+        """Complete candidate lists, wide enough for a run to keep its shapes."""
+        begin, first = time.perf_counter(), self._last is None
+        margin = MARGIN * float(move_bound(self.model, len(place)))
+        sides = find_candidates(place, self.model.tube, margin)
+        self.compile_seconds += (time.perf_counter() - begin) * first
+        return sides
 
     def _rounds(self, state: AnnealState) -> list[Int[np.ndarray, "rounds width"]]:
         """For each sweep of a chunk the cells in the order they are visited: one by one, or in independent sets."""
@@ -365,6 +389,16 @@ class Annealer:
         return rows
 
 
-def _side_width(width: int) -> int:
-    """Room for candidates on one side of a cell, given that for all."""
-    return -(-7 * width // 80) * 8
+def _list_first(
+    missing: Int[np.ndarray, "missing 2"],
+    sides: Int[np.ndarray, "n 2 candidates"],
+    clear: Float[np.ndarray, "n 2 candidates"],
+) -> bool:
+    """Let pairs head each other's lists; whether any did not yet."""
+    news = False
+    for pair in missing:
+        for cell, rival in (pair, pair[::-1]):
+            here = sides[cell] == rival
+            news |= bool((clear[cell][here] >= 0).any())
+            clear[cell][here] = -1
+    return news

@@ -1,8 +1,7 @@
 """Which backbones can bound which cell: candidate lists, kept complete by an exact sum.
 
-A list must hold every rival that stops a cell on some line; more only cost time. Lists come from measured
-contacts: whoever can come to touch a cell when one backbone moves is within two hops of it, and when all move
-by a fraction of a cell, within three hops and not far.
+A list must hold every rival that stops a cell on some line; more only cost time. Complete lists are found among
+the backbones nearest along the axis. Of these a few sweeps need only those that can come to stop the cell.
 """
 
 import math
@@ -20,12 +19,13 @@ from jaxtissue.cells import (
     CellGeometry,
     Grid,
     Posts,
-    Survey,
     measure_cells,
+    larger,
     meeting,
     posts,
     see_angles,
     see_lines,
+    see_others,
     see_rivals,
     settled,
     stop,
@@ -35,7 +35,8 @@ from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines
 from jaxtissue.tube import Tube
 
 REACH = 2.5  # mean cell widths on either side of a backbone that a first window of lines covers
-SKIN = 2.5  # mean cell widths within which cells three hops apart are candidates too
+NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
+TINY = 1e-30
 TILES = 1e-4  # relative defect of the lengths along a line above which lists are taken as incomplete
 
 _measure = jax.jit(measure_cells)
@@ -50,50 +51,65 @@ def measure_tissue(
     rounding unless a candidate list overflowed. Lists are grown until nothing overflows, so this takes
     concrete arrays; inside `jit` call `measure_cells`. Positions as (axial, angle), [n, 2].
     """
-    sides = sided(find_candidates(positions, tube), positions, tube)
+    sides = find_candidates(positions, tube)
     lines = plan_lines(tube, len(positions), resolution, REACH, surfaces=True)
     sizes, _ = _measure(positions, tube, lines, jnp.asarray(sides))
     return sizes, float(tiling_defect(positions, tube, jnp.asarray(sides)))
 
 
 def find_candidates(
-    positions: Float[Array | np.ndarray, "n 2"], tube: Tube
-) -> Int[np.ndarray, "n candidates"]:
-    """Complete candidate lists: as many nearest backbones as it needs for the cells to tile every line."""
-    count = 64
+    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0
+) -> Int[np.ndarray, "n 2 side_candidates"]:
+    """Complete candidate lists, behind and ahead of each cell, padded with the cell itself.
+
+    As many nearest backbones are taken as it needs for the cells to tile every line; those within `margin`
+    along the axis stand on both sides.
+    """
+    count = NEAREST
     while True:
-        lists = nearest(positions, tube, count)
-        sides = padded(sided(lists, positions, tube), min(count, 64))  # few shapes, so few compilations
+        sides = sided(nearest(positions, tube, count), positions, tube, margin)
         if count >= len(positions) - 1 or tiling_defect(positions, tube, sides) < TILES:
-            return lists
+            return sides
         count *= 2
-
-
-def spacing(place: np.ndarray, first: np.ndarray, second: np.ndarray, tube: Tube) -> np.ndarray:
-    """Distance of backbones `first` and `second` in mean cell widths, the least over radii."""
-    inner, outer = float(tube.apical_radius), float(tube.basal_radius)
-    along, turn = place[first, 0] - place[second, 0], place[first, 1] - place[second, 1]
-    score = np.full(along.shape, np.inf)
-    for radius in np.geomspace(inner, outer, 3):
-        foot = np.maximum(radius * np.cos(turn), inner)
-        square = along**2 + radius**2 - 2 * radius * foot * np.cos(turn) + foot**2
-        score = np.minimum(score, square / radius)
-    return np.sqrt(score * len(place) / (2 * math.pi * float(tube.length)))
 
 
 def nearest(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube, count: int
 ) -> Int[np.ndarray, "n count"]:
-    """The `count` backbones nearest to each by `spacing`."""
+    """The `count` backbones nearest to each by `spacing`, among those next to it along the axis."""
     place, n = np.asarray(positions, float), len(positions)
     count = min(count, n - 1)
+    density, width = (
+        n / float(tube.length),
+        math.sqrt(2 * math.pi * float(tube.basal_radius * tube.length) / n),
+    )
+    # on either side; 6 mean cell widths at the basal surface, where NEAREST are as many as usual
+    window = min(n - 1, max(count, math.ceil(6 * density * width * count / NEAREST)))
+    order = np.argsort(place[:, 0], kind="stable")
+    step = np.r_[-window:0, 1 : window + 1]
     lists = np.empty((n, count), np.int32)
     for start in range(0, n, 1024):
-        some = np.arange(start, min(start + 1024, n))
-        score = spacing(place, some[:, None], np.arange(n)[None], tube)
-        score[np.arange(len(some)), some] = np.inf
-        lists[some] = np.argpartition(score, max(count - 1, 0), axis=1)[:, :count]
+        rank = np.arange(start, min(start + 1024, n))[:, None] + step
+        some, others = order[start : start + 1024, None], order[np.clip(rank, 0, n - 1)]
+        score = np.where((rank >= 0) & (rank < n), spacing(place, some, others, tube), np.inf)
+        kept = np.argpartition(score, max(count - 1, 0), axis=1)[:, :count]
+        lists[some[:, 0]] = np.take_along_axis(others, kept, axis=1)
     return lists
+
+
+def spacing(place: np.ndarray, first: np.ndarray, second: np.ndarray, tube: Tube) -> np.ndarray:
+    """Distance of backbones `first` and `second`, the least over radii in units of the square root of these.
+
+    Squared, up to a constant factor: so it is measured in mean cell widths.
+    """
+    inner, outer = float(tube.apical_radius), float(tube.basal_radius)
+    along = (place[first, 0] - place[second, 0]) ** 2
+    cosine = np.cos(place[first, 1] - place[second, 1])
+    score = np.inf
+    for radius in np.geomspace(inner, outer, 3):
+        foot = np.maximum(radius * cosine, inner)
+        score = np.minimum(score, (along + radius**2 - 2 * radius * foot * cosine + foot**2) / radius)
+    return np.asarray(score)
 
 
 def contact_graph(
@@ -104,35 +120,6 @@ def contact_graph(
     cells, others = np.nonzero(touched)[0], sides[touched]
     graph = sparse.coo_array((np.ones(len(cells), bool), (cells, others)), shape=(n, n)).tocsr()
     return (graph + graph.T).tocsr()
-
-
-def within_hops(graph: sparse.csr_array, hops: int) -> sparse.csr_array:
-    """Who is within `hops` contacts of whom, oneself included."""
-    one = (graph + sparse.eye_array(len(graph.indptr) - 1, dtype=bool)).astype(np.int32).tocsr()
-    reached = one
-    for _ in range(hops - 1):
-        reached = reached @ one
-        reached.data[:] = 1
-    return reached
-
-
-def hop_lists(
-    graph: sparse.csr_array, positions: Float[Array | np.ndarray, "n 2"], tube: Tube
-) -> Int[np.ndarray, "n candidates"]:
-    """Everyone within two contacts of each cell, and within three where `spacing` is below SKIN; padded."""
-    two = within_hops(graph, 2)
-    three = within_hops(graph, 3) - two
-    three.eliminate_zeros()
-    cell, other = three.nonzero()
-    near = spacing(np.asarray(positions, float), cell, other, tube) < SKIN
-    rows = np.r_[np.repeat(np.arange(len(two.indptr) - 1), np.diff(two.indptr)), cell[near]]
-    columns = np.r_[two.indices, other[near]]
-    order = np.lexsort((columns, rows))
-    rows, columns = rows[order], columns[order]
-    sizes = np.bincount(rows, minlength=len(two.indptr) - 1)
-    lists = np.repeat(np.arange(len(sizes), dtype=np.int32)[:, None], max(sizes.max(), 2), axis=1)
-    lists[rows, np.arange(len(rows)) - np.repeat(np.cumsum(sizes) - sizes, sizes)] = columns
-    return lists
 
 
 def sided(
@@ -149,7 +136,7 @@ def sided(
     width = max(1, *(int((side != own).sum(axis=1).max(initial=0)) for side in sides))
     front = [np.argsort(side == own, axis=1, kind="stable")[:, :width] for side in sides]
     packed = [np.take_along_axis(side, at, axis=1) for side, at in zip(sides, front, strict=True)]
-    return padded(np.stack(packed, axis=1), -(-width // 16) * 16)  # few shapes, so few compilations
+    return padded(np.stack(packed, axis=1), -(-width // 24) * 24)  # few shapes, so few compilations
 
 
 def padded(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.ndarray, "n ... width"]:
@@ -160,43 +147,46 @@ def padded(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.nda
 
 
 def clearance(
-    positions: Float[Array, "n 2"],
-    tube: Tube,
-    lines: Lines,
-    sides: Int[Array, "n 2 candidates"],
-    seen: Survey,
+    positions: Float[Array, "n 2"], tube: Tube, lines: Lines, sides: Int[Array, "n 2 candidates"]
 ) -> Float[Array, "n 2 candidates"]:
-    """How far each candidate's wall stays clear of the cell: the least distance, to first order, over lines.
+    """How far each candidate would have to move, on the apical surface, to stop the cell on some of the lines
+    if it were not for the one who does.
 
-    Squared; infinite where there is no wall to face. Who is far from bounding a cell now will be for a while.
+    To first order: d_j^2 - d_i^2 where the second in line would stop the cell, over its derivative,
+    2 sqrt((x - x_j)^2 + (r s sin(t - t_j) / R_a)^2). Squared, and infinite where there is none. Those listed on
+    the side where they are not yet are taken at the mirrored place. Who is far from stopping a cell now will be
+    for a while.
     """
-
     n, dtype = len(positions), positions.dtype
-    blocks = -(-n // BLOCK)
-    width = -(-n // blocks)
-    spare = ((0, blocks * width - n), (0, 0), (0, 0))
-    place, lists, reaches = posts(positions), jnp.pad(sides, spare), jnp.pad(seen.reach, spare)
+    width = min(n, BLOCK)
+    blocks = -(-n // width)
+    place, lists = posts(positions), jnp.pad(sides, ((0, blocks * width - n), (0, 0), (0, 0)))
     grid = jax.tree.map(lambda column: column[:, 0], see_lines(lines, tube, dtype))
 
     def block(start: Array) -> Array:
         which = start + jnp.arange(width)
         those = lists[which].transpose(2, 1, 0)
         own, others = (Posts(*(column[at] for column in place)) for at in (which, those))
-        rivals = see_rivals(own, others, those < which, tube)
+        ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
+        rivals, is_ahead = settled(lambda: see_others(own, others, those < which, tube), truth)
+        on_side = is_ahead == jnp.array([False, True])[:, None]
 
-        def nearer(least: Array, line: tuple[Grid, Array]) -> tuple[Array, None]:
-            at, reach = line
-            away = jnp.maximum(meeting(at, rivals, tube) - reach, 0) * 2 * rivals.half
-            foot = jnp.maximum(at.z * rivals.cosine + at.y * rivals.sine, tube.apical_radius)
-            feet = 4 * rivals.half**2 + foot**2 + at.foot**2 - 2 * foot * at.foot * rivals.cosine
-            return jnp.where(reach > -jnp.inf, jnp.minimum(least, away**2 / feet), least), None
+        def nearer(least: Array, at: Grid) -> tuple[Array, None]:
+            meets = settled(lambda: meeting(at, rivals, tube), truth)
+            here = jnp.where(on_side, meets, FAR)
+            first = jnp.minimum(here.min(axis=0), ends)
+            second = jnp.minimum(jnp.where(here > first, here, FAR).min(axis=0), ends)
+            z, y = at.z * rivals.cosine + at.y * rivals.sine, at.y * rivals.cosine - at.z * rivals.sine
+            around = larger(z, tube.apical_radius) * y / tube.apical_radius
+            speed = (second - 2 * rivals.half) ** 2 + around**2
+            way = (larger(meets - second, 0.0) * 2 * rivals.half) ** 2 / larger(speed, TINY)
+            return jnp.where((first.sum(axis=0) > 0) & (way < least), way, least), None
 
-        far = jnp.full(rivals.half.shape, jnp.inf, dtype)
-        least, _ = jax.lax.scan(nearer, far, (grid, reaches[which].transpose(2, 1, 0)))
+        least, _ = jax.lax.scan(nearer, jnp.full(rivals.half.shape, jnp.inf, dtype), grid)
         return jnp.where(rivals.half < FAR, least, jnp.inf).transpose(2, 1, 0)
 
-    least = jax.lax.map(block, width * jnp.arange(blocks)).reshape(blocks * width, *sides.shape[1:])
-    return jnp.where(seen.touched, -1, least[:n])
+    least = jax.lax.map(block, width * jnp.arange(blocks))
+    return least.reshape(blocks * width, *sides.shape[1:])[:n]
 
 
 def nearest_sides(

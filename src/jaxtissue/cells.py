@@ -24,8 +24,8 @@ T = TypeVar("T")
 Done = TypeVar("Done")
 END, NONE = -1, -2
 FAR = 1e30  # beyond any tube, and finite: its lowest bits may be changed
-BLOCK = 128  # cells measured at once: what fits the processor's cache
-CHUNK = 16  # candidates compared in one unrolled loop
+BLOCK = 136  # cells measured at once, 8 times an odd number: at 128 the rows of tables evict each other from cache
+CHUNK = 24  # candidates compared in one unrolled loop
 
 
 class CellGeometry(eqx.Module):
@@ -120,8 +120,8 @@ def see_angles(radius: Array, offset: Array, tube: Tube) -> Grid:
     return Grid(radius, z, y, foot, y * y + (foot - z) ** 2)
 
 
-def see_rivals(own: Posts, others: Posts, first: Array, tube: Tube) -> Rivals:
-    """The rivals on either side.
+def see_others(own: Posts, others: Posts, first: Array, tube: Tube) -> tuple[Rivals, Array]:
+    """The others as rivals, whatever side they are on, and whether each lies ahead.
 
     No wall may be parallel to the axis: of two backbones at the same height the one that is `first` counts as
     lying behind, and all are taken as LEVEL times their distance apart along the axis.
@@ -129,12 +129,18 @@ def see_rivals(own: Posts, others: Posts, first: Array, tube: Tube) -> Rivals:
     cosine = others.cosine * own.cosine + others.sine * own.sine
     sine = others.sine * own.cosine - others.cosine * own.sine
     gap = others.axial - own.axial
-    is_ahead = (gap > 0) | ((gap == 0) & first)
-    chord = jnp.sqrt(sine**2 + (1 - cosine) ** 2)
+    # exactly 0 for the cell itself, which pads the lists
+    chord = jnp.sqrt((others.cosine - own.cosine) ** 2 + (others.sine - own.sine) ** 2)
     apart = jnp.maximum(jnp.abs(gap), LEVEL * tube.apical_radius * chord)
-    on_side = is_ahead == jnp.array([False, True])[:, None]
-    half = jnp.where(on_side & (chord + apart > 0), apart / 2, FAR)
-    return Rivals(half, 0.25 / half, cosine, sine)
+    half = jnp.where(apart > 0, apart / 2, FAR)
+    return Rivals(half, 0.25 / half, cosine, sine), (gap > 0) | ((gap == 0) & ~first)
+
+
+def see_rivals(own: Posts, others: Posts, first: Array, tube: Tube) -> Rivals:
+    """The rivals among the candidates [candidates, 2, cells], FAR if they lie on the other side."""
+    rivals, is_ahead = see_others(own, others, first, tube)
+    half = jnp.where(is_ahead == jnp.array([False, True])[:, None], rivals.half, FAR)
+    return rivals._replace(half=half, slant=0.25 / half)
 
 
 def meeting(grid: Grid, rival: Rivals, tube: Tube) -> Array:
@@ -253,7 +259,7 @@ def measure_window(
     """
     dtype, truth = own.axial.dtype, own.axial[0] > -1
     ends = jnp.stack([own.axial, tube.length - own.axial])
-    grid = see_lines(lines, tube, dtype, shift)
+    grid = settled(lambda: see_lines(lines, tube, dtype, shift), truth)
     rivals = settled(lambda: see_rivals(own, others, first, tube), truth)
     by = stop(grid, rivals, ends, tube, truth)
     wall = walls(by, rivals, ends, grid, tube, truth)
@@ -264,7 +270,7 @@ def measure_window(
     at_end = ((by == END) & (inside & bears)[:, None]).any(axis=(0, 1))
     sizes = CellGeometry(*integrate(wall, step, tube, lines, truth), touches_end=at_end)
     # a product, since a reduction would run one number at a time
-    onward = jnp.asarray(edges, dtype) @ bears.astype(dtype) > 0
+    onward = jnp.asarray(edges, dtype) @ (inside & bears).astype(dtype) > 0
     seen = (jnp.where(bears[:, None], found, no) for found, no in ((wall.reach, -jnp.inf), (by, NONE)))
     return Window(sizes, *seen, onward)
 
@@ -323,7 +329,8 @@ class Survey(NamedTuple):
     """What measuring cells tells beside their sizes."""
 
     sizes: CellGeometry
-    onward: Bool[Array, "cells 2"]  # the cell goes on before or after the middle window
+    onward: Bool[Array, "cells 2"]  # while measuring: the cell goes on before or after the windows seen
+    wide: Bool[Array, "cells"]  # the cell goes on beyond the middle window
     reach: Float[Array, "cells 2 lines"]  # of the middle window
     touched: Bool[Array, "cells 2 candidates"]  # the candidate stops the cell on some line
 
@@ -343,7 +350,7 @@ def measure_cells(
     """
     which = jnp.arange(len(positions), dtype=jnp.int32) if cells is None else jnp.asarray(cells)
     neighbors, table, size = jnp.asarray(neighbors), posts(positions), len(which)
-    width = -(-size // -(-size // BLOCK))
+    width = min(size, BLOCK)
     dtype = positions.dtype
     blank = jnp.zeros(size, dtype)
     surfaces = [blank if lines.surfaces else None] * 4
@@ -351,6 +358,7 @@ def measure_cells(
     start = Survey(
         sizes,
         jnp.zeros((size, 2), bool),
+        blank > 0,
         jnp.zeros((size, 2, len(lines.number)), dtype),
         jnp.zeros((size, *neighbors.shape[1:]), bool),
     )
@@ -383,6 +391,7 @@ def add_window(items: Array, shift: Array, window: Window, done: Survey) -> Surv
     return Survey(
         jax.tree.map(add, done.sizes, window.sizes),
         note_onward(items, shift, window, done.onward),
+        done.wide.at[at].set(window.onward.any(axis=0), mode="drop"),
         done.reach.at[at].set(jnp.moveaxis(window.reach, -1, 0).swapaxes(1, 2), mode="drop"),
         touched.set(True, mode="drop"),
     )

@@ -109,12 +109,16 @@ class _Growing:
         self.points: list[list[float]] = []
         self.labels: list[tuple[int, ...]] = []
         self.known: dict[tuple[int, ...], list[int]] = {}
-        self.closed: dict[int, int] = {}  # the other end of the edge at each end; the front of a loop at -1 - it
+        self.closed: dict[
+            int, int
+        ] = {}  # the other end of the edge at each end; the front of a loop at -1 - it
         self.excess = 0  # ends at which a second edge came in
         self.begun: list[Fronts] = []
         self.count = 0
         self.edges: list[tuple[int, int, int]] = []  # front, its end, the end it came to
-        self.walked: list[tuple[np.ndarray, np.ndarray]] = []  # fronts, and the points between which they went
+        self.walked: list[
+            tuple[np.ndarray, np.ndarray]
+        ] = []  # fronts, and the points between which they went
 
     def grow(self, seeds: Seeds) -> None:
         """Follow the edges at seeds, and all that are joined to them."""
@@ -161,7 +165,10 @@ class _Growing:
         """The number of a vertex, new or known."""
         same = self.known.setdefault(labels, [])
         for number in same:
-            if max(abs(a - b) for a, b in zip(self.points[number], point, strict=True)) < 1e-8 * self.leads.size:
+            if (
+                max(abs(a - b) for a, b in zip(self.points[number], point, strict=True))
+                < 1e-8 * self.leads.size
+            ):
                 return number
         same.append(len(self.points))
         self.points.append(point)

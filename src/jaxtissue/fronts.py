@@ -72,7 +72,12 @@ def step(fronts: Fronts, leads: Leads) -> tuple[Fronts, Int[np.ndarray, " m"]]:
     home = (fronts.end < 0) & (fronts.gone > 3 * size) & good
     home &= passes(fronts.start, old, moved.point, size / 5)
     moved.point[home], met[home] = fronts.start[home], HOME
-    moved = Fronts(*(np.where(good if new.ndim == 1 else good[:, None], new, was) for new, was in zip(moved, fronts, strict=True)))
+    moved = Fronts(
+        *(
+            np.where(good if new.ndim == 1 else good[:, None], new, was)
+            for new, was in zip(moved, fronts, strict=True)
+        )
+    )
     moved.longest[~good] = size[~good] / 4
     return moved, met
 
@@ -118,7 +123,9 @@ def advance(fronts: Fronts, size: np.ndarray, leads: Leads) -> tuple[Fronts, np.
     moved = ((point - start) * fronts.ahead).sum(axis=1)
     bad = (moved < -near) | (moved > 2 * size) | ((ahead * fronts.ahead).sum(axis=1) < BENT)
     met[bad], met[ends[leaving]] = LOST, LOST
-    moved = fronts._replace(point=point, ahead=ahead, turn=turn, longest=np.minimum(4 * fronts.longest, reach), safe=safe)
+    moved = fronts._replace(
+        point=point, ahead=ahead, turn=turn, longest=np.minimum(4 * fronts.longest, reach), safe=safe
+    )
     return moved._replace(gone=fronts.gone + size), met
 
 

@@ -21,7 +21,9 @@ TURNS = 8  # most Newton steps
 SLACK = 0.3  # how much more than foreseen edges and walls turn against each other in the longest step
 
 
-def cross(first: Float[np.ndarray, "3 ..."], second: Float[np.ndarray, "3 ..."]) -> Float[np.ndarray, "3 ..."]:
+def cross(
+    first: Float[np.ndarray, "3 ..."], second: Float[np.ndarray, "3 ..."]
+) -> Float[np.ndarray, "3 ..."]:
     """Cross products along the first axis; `np.cross` takes several times as long."""
     (a, b, c), (u, v, w) = first, second
     return np.stack([b * w - c * v, c * u - a * w, a * v - b * u])

@@ -27,7 +27,7 @@ from jaxtissue.cells import (
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines
 
-ITEMS = 64  # changed cells measured at once
+ITEMS = 72  # changed cells measured at once, 8 times an odd number as in `cells`
 
 
 class Neighborhoods(NamedTuple):
@@ -60,6 +60,7 @@ class SweepInfo(NamedTuple):
 class Changes(NamedTuple):
     """The cells a round's moves would change, packed: whose move, which cell, and what they become."""
 
+    item: Int[Array, "items"]  # place in the table of movers and cells around them
     move: Int[Array, "items"]
     cell: Int[Array, "items"]
     total: Int[Array, ""]
@@ -70,13 +71,10 @@ class Changes(NamedTuple):
     onward: Bool[Array, "items 2"]
 
 
-def tissue_state(positions: Float[Array, "n 2"], seen: Survey, lines: Lines, wide: Lines) -> TissueState:
-    """The state of a tissue that was measured in `wide` windows, for sweeps in those of `lines`."""
-    middle = np.flatnonzero(np.abs(wide.number) <= np.array(lines.half)[wide.layer])
-    edges = np.abs(lines.number) == np.array(lines.half)[lines.layer]
-    reach = seen.reach[..., middle]
-    onward = (reach[:, 0] > -jnp.inf)[:, edges].any(axis=1)
-    return TissueState(posts(positions), seen.sizes.volume, seen.sizes.lateral_area, reach, onward)
+def tissue_state(positions: Float[Array, "n 2"], seen: Survey) -> TissueState:
+    """The state of a tissue that was measured."""
+    sizes = seen.sizes
+    return TissueState(posts(positions), sizes.volume, sizes.lateral_area, seen.reach, seen.wide)
 
 
 def propose(key: PRNGKeyArray, place: Posts, model: Model) -> Posts:
@@ -126,10 +124,14 @@ def sweep(
         next_alone = jnp.argmax(deferred).astype(rounds.dtype)
         movers = jnp.where(planned, rounds[jnp.minimum(number, len(rounds) - 1)], alone.at[0].set(next_alone))
         deferred = deferred.at[next_alone].set(deferred[next_alone] & planned)
-        changed = find_changed(movers, state, proposed, near, (model, lines))
-        collides = find_collisions(changed, movers, near)
-        changes = measure_changes(changed & ~collides[:, None], movers, state, proposed, near, (model, lines))
-        difference = local_differences(changes, state, model, len(movers))
+        touched, perhaps = find_changed(movers, state, proposed, near, (model, lines))
+        collides = find_collisions(touched, movers, near)
+        measured = (touched | perhaps) & ~collides[:, None]
+        changes = measure_changes(measured, movers, state, proposed, near, (model, lines))
+        real = drop_unchanged(changes, touched, state, model)
+        changed = jnp.zeros(touched.size, bool).at[changes.item].max(real).reshape(touched.shape)
+        collides |= find_collisions(changed, movers, near)
+        difference = local_differences(changes, real, state, model, len(movers))
         weight = jnp.exp(-jnp.maximum(difference, 0) / jnp.maximum(temperature, jnp.finfo(chance.dtype).tiny))
         accept = (movers >= 0) & ~collides & (chance[movers] < weight)
         n = len(chance)
@@ -141,7 +143,12 @@ def sweep(
             info.rounds + 1,
             info.energy_change + jnp.where(accept, difference, 0).sum(),
         )
-        return number + 1, deferred, apply(changes, accept, movers, proposed, state), info
+        return (
+            number + 1,
+            deferred,
+            apply(changes, real & accept[changes.move], jnp.where(accept, movers, n), proposed, state),
+            info,
+        )
 
     zero = jnp.zeros((), jnp.int32)
     nothing = SweepInfo(zero, zero, zero, zero, jnp.zeros((), chance.dtype))
@@ -157,12 +164,12 @@ def pick(place: Posts, which: Array) -> Posts:
 
 def find_changed(
     movers: Array, state: TissueState, proposed: Posts, near: Neighborhoods, rules: tuple[Model, Lines]
-) -> Bool[Array, "width around+1"]:
-    """Which of the cells around a mover its move may change, and (last) itself.
+) -> tuple[Bool[Array, "width around+1"], Bool[Array, "width around+1"]]:
+    """Which of the cells around a mover, and (last) itself, its move changes, and which else it might.
 
     A cell changes where the mover stops it now, or would stop it short of its present reach. The first test
-    has a tolerance: a cell more is measured for nothing, a cell less would be a stale one. For the same
-    reason a cell that goes on beyond its middle window counts as changed.
+    has a tolerance: a cell more is measured for nothing, a cell less would be a stale one. Of a cell that goes
+    on beyond its middle window that is not known.
     """
     model, lines = rules
     cells = near.around[movers]
@@ -184,9 +191,11 @@ def find_changed(
         return meets <= jnp.where(both, jnp.maximum(behind, ahead), jnp.where(gap > 0, ahead, behind))
 
     touched = undercuts(pick(state.place, movers), facing) | undercuts(pick(proposed, movers), reach)
-    touched = (jnp.where(touched, 1.0, 0.0).max(axis=1) > 0) | state.wide[pairs]
-    changed = touched.reshape(cells.shape) & (cells != movers[:, None])
-    return jnp.concatenate([changed, jnp.ones_like(changed[:, :1])], axis=1) & (movers >= 0)[:, None]
+    touched = (jnp.where(touched, 1.0, 0.0).max(axis=1) > 0).reshape(cells.shape)
+    real = (cells != movers[:, None]) & (movers >= 0)[:, None]
+    own = (movers >= 0)[:, None]
+    perhaps = real & ~touched & state.wide[cells]
+    return tuple(jnp.concatenate(pair, axis=1) for pair in ((real & touched, own), (perhaps, own & False)))
 
 
 def members(movers: Array, near: Neighborhoods) -> Int[Array, "width candidates+1"]:
@@ -223,7 +232,7 @@ def measure_changes(
     total = changed.sum(dtype=jnp.int32)
     blank = jnp.zeros(size, state.volume.dtype)
     reach = jnp.zeros((size, *state.reach.shape[1:]), blank.dtype)
-    start = Changes(move, cell, total, blank, blank, reach, blank > 0, jnp.zeros((size, 2), bool))
+    start = Changes(item, move, cell, total, blank, blank, reach, blank > 0, jnp.zeros((size, 2), bool))
 
     def measure(items: Array, shift: Array, done: Changes) -> Changes:
         mover, which = movers[move[items]], cell[items]
@@ -248,24 +257,34 @@ def measure_changes(
     return through_windows(measure, total, size, ITEMS, start)
 
 
+def drop_unchanged(
+    changes: Changes, touched: Bool[Array, "width around+1"], state: TissueState, model: Model
+) -> Bool[Array, "items"]:
+    """Which of the cells measured their move changes: those touched, and of the others those that differ."""
+    tiny = 1000 * jnp.finfo(state.volume.dtype).eps * model.mean_volume
+    differs = jnp.abs(changes.volume - state.volume[changes.cell]) > tiny
+    differs |= jnp.abs(changes.lateral_area - state.lateral_area[changes.cell]) > tiny
+    return (touched.ravel()[changes.item] | differs) & (jnp.arange(len(changes.item)) < changes.total)
+
+
 def local_differences(
-    changes: Changes, state: TissueState, model: Model, width: int
+    changes: Changes, real: Bool[Array, "items"], state: TissueState, model: Model, width: int
 ) -> Float[Array, "width"]:
     """Energy difference of each move: the sum over the cells it changes."""
     new = model.cell_energy(CellGeometry(changes.volume, changes.lateral_area), model)
     old = model.cell_energy(CellGeometry(state.volume[changes.cell], state.lateral_area[changes.cell]), model)
-    real = jnp.arange(len(new)) < changes.total
     own = changes.move == jnp.arange(width)[:, None]
     return jnp.where(own & real, new - old, 0).sum(axis=1)
 
 
-def apply(changes: Changes, accept: Array, movers: Array, proposed: Posts, state: TissueState) -> TissueState:
-    """The state after the accepted moves."""
+def apply(
+    changes: Changes, accepted: Bool[Array, "items"], movers: Array, proposed: Posts, state: TissueState
+) -> TissueState:
+    """The state after the accepted moves, with the changes that belong to them."""
     n = len(state.volume)
-    kept = accept[changes.move] & (jnp.arange(len(changes.cell)) < changes.total)
-    cell, mover = jnp.where(kept, changes.cell, n), jnp.where(accept, movers, n)
+    cell = jnp.where(accepted, changes.cell, n)
     return TissueState(
-        jax.tree.map(lambda old, new: old.at[mover].set(new[movers], mode="drop"), state.place, proposed),
+        jax.tree.map(lambda old, new: old.at[movers].set(new[movers], mode="drop"), state.place, proposed),
         state.volume.at[cell].set(changes.volume, mode="drop"),
         state.lateral_area.at[cell].set(changes.lateral_area, mode="drop"),
         state.reach.at[cell].set(changes.reach, mode="drop"),

@@ -13,6 +13,7 @@ from jaxtissue.tube import Tube
 
 GAP = 1e-9  # of R_b: a gap in a silhouette that is no error of rounding
 
+
 @dataclass(frozen=True)
 class Transitions:
     """Points of the open tissue with four nearest backbones: where they are, and their cells, sorted."""
@@ -56,9 +57,7 @@ def find_transitions(
     return Transitions(graph.vertices[inner], cells, per_cell, graph.open_ends)
 
 
-def find_forms(
-    positions: Float[ArrayLike, "n 2"], tube: Tube, edges: EdgeGraph | None = None
-) -> CellForms:
+def find_forms(positions: Float[ArrayLike, "n 2"], tube: Tube, edges: EdgeGraph | None = None) -> CellForms:
     """Which cells wrap round the lumen, and how many parts each has.
 
     A cell is one interval on each line parallel to the axis, so the lines that meet it are bounded, in radius
