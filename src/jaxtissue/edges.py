@@ -14,6 +14,7 @@ from jaxtissue.fronts import GOING, HOME, LOST, Fronts, begin, passes, refine, s
 from jaxtissue.leads import TOUCH, Leads, ranges
 from jaxtissue.tube import Tube
 
+CARE = 4.0  # by how much steps are shorter in a second try
 FIRST = 8  # of the seeds one in so many is followed at first, then those on no edge yet
 
 
@@ -50,7 +51,14 @@ def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
     that no edge joins to a wall beside a backbone are not seen: closed edges within the tissue. Paper,
     section 4.1.
     """
-    leads = Leads(positions, tube)
+    graph = _trace(Leads(positions, tube))
+    if graph.open_ends:  # some step crossed a wall and crossed it back: two edges came in at one end
+        careful = _trace(Leads(positions, tube, CARE))
+        graph = min(graph, careful, key=lambda graph: graph.open_ends)
+    return graph
+
+
+def _trace(leads: Leads) -> EdgeGraph:
     graph, seeds = _Growing(leads), seed(leads)
     graph.grow(Seeds(*(column[::FIRST] for column in seeds)))
     graph.grow(Seeds(*(column[~graph.covers(seeds)] for column in seeds)))
@@ -109,12 +117,16 @@ class _Growing:
         self.points: list[list[float]] = []
         self.labels: list[tuple[int, ...]] = []
         self.known: dict[tuple[int, ...], list[int]] = {}
-        self.closed: dict[int, int] = {}  # the other end of the edge at each end; the front of a loop at -1 - it
+        self.closed: dict[
+            int, int
+        ] = {}  # the other end of the edge at each end; the front of a loop at -1 - it
         self.excess = 0  # ends at which a second edge came in
         self.begun: list[Fronts] = []
         self.count = 0
         self.edges: list[tuple[int, int, int]] = []  # front, its end, the end it came to
-        self.walked: list[tuple[np.ndarray, np.ndarray]] = []  # fronts, and the points between which they went
+        self.walked: list[
+            tuple[np.ndarray, np.ndarray]
+        ] = []  # fronts, and the points between which they went
 
     def grow(self, seeds: Seeds) -> None:
         """Follow the edges at seeds, and all that are joined to them."""
@@ -161,7 +173,10 @@ class _Growing:
         """The number of a vertex, new or known."""
         same = self.known.setdefault(labels, [])
         for number in same:
-            if max(abs(a - b) for a, b in zip(self.points[number], point, strict=True)) < 1e-8 * self.leads.size:
+            if (
+                max(abs(a - b) for a, b in zip(self.points[number], point, strict=True))
+                < 1e-8 * self.leads.size
+            ):
                 return number
         same.append(len(self.points))
         self.points.append(point)

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from jaxtissue.leads import TINY, TOUCH, Leads
 
 STEP = 0.6  # longest step, in mean cell widths at the local radius
+NEAR = 0.5  # longest step, in distances from the axis: within it edges bend as they come near the lumen
 TURN = 0.4  # longest step, in radii of curvature
 BENT = 0.85  # cosine of the most that an edge may turn in a step
 FINE = 0.3  # most that edges turn, in radians, in the segments that are kept
@@ -59,12 +60,14 @@ def begin(
 
 def widest(point: Float[np.ndarray, "m 3"], turn: Float[np.ndarray, "m 3"], leads: Leads) -> np.ndarray:
     """The longest step allowed at points of edges of given curvature."""
-    width = np.sqrt(2 * np.pi * leads.length / leads.count * np.hypot(point[:, 1], point[:, 2]))
-    return np.minimum(STEP * width, TURN / np.maximum(np.sqrt((turn**2).sum(axis=1)), TINY))
+    radius = np.hypot(point[:, 1], point[:, 2])
+    width = np.sqrt(2 * np.pi * leads.length / leads.count * radius)
+    bow = 1 / np.maximum(np.sqrt((turn**2).sum(axis=1)), TINY)
+    return np.minimum(np.minimum(STEP * width, NEAR * radius), TURN * bow) / leads.care
 
 
 def step(fronts: Fronts, leads: Leads) -> tuple[Fronts, Int[np.ndarray, " m"]]:
-    """One step of every front, and who is met: a label, GOING, HOME, or LOST for a step to be tried shorter."""
+    """One step of every front, and who is met: a label, GOING, HOME, or LOST: to be tried shorter."""
     old, longest = fronts.point, fronts.longest
     size = np.minimum(longest, np.maximum(fronts.safe, longest / 20))
     moved, met = advance(fronts, size, leads)
@@ -72,7 +75,12 @@ def step(fronts: Fronts, leads: Leads) -> tuple[Fronts, Int[np.ndarray, " m"]]:
     home = (fronts.end < 0) & (fronts.gone > 3 * size) & good
     home &= passes(fronts.start, old, moved.point, size / 5)
     moved.point[home], met[home] = fronts.start[home], HOME
-    moved = Fronts(*(np.where(good if new.ndim == 1 else good[:, None], new, was) for new, was in zip(moved, fronts, strict=True)))
+    moved = Fronts(
+        *(
+            np.where(good if new.ndim == 1 else good[:, None], new, was)
+            for new, was in zip(moved, fronts, strict=True)
+        )
+    )
     moved.longest[~good] = size[~good] / 4
     return moved, met
 
@@ -118,14 +126,17 @@ def advance(fronts: Fronts, size: np.ndarray, leads: Leads) -> tuple[Fronts, np.
     moved = ((point - start) * fronts.ahead).sum(axis=1)
     bad = (moved < -near) | (moved > 2 * size) | ((ahead * fronts.ahead).sum(axis=1) < BENT)
     met[bad], met[ends[leaving]] = LOST, LOST
-    moved = fronts._replace(point=point, ahead=ahead, turn=turn, longest=np.minimum(4 * fronts.longest, reach), safe=safe)
+    moved = fronts._replace(
+        point=point, ahead=ahead, turn=turn, longest=np.minimum(4 * fronts.longest, reach), safe=safe
+    )
     return moved._replace(gone=fronts.gone + size), met
 
 
 def refine(
     points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"], leads: Leads
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 2 3"], Int[np.ndarray, " t"]]:
-    """Segments of edges halved until they hardly turn, and follow the cubic through their ends: points, unit tangents, and which segment each is of."""
+    """Segments of edges halved until they hardly turn, and follow the cubic through their ends: points, unit
+    tangents, and which of the segments given each is of."""
     tangents = leads.tangent(points.reshape(-1, 3), np.repeat(labels, 2, axis=0)).reshape(-1, 2, 3)
     segment = new = np.arange(len(points))
     for _ in range(6):
