@@ -14,6 +14,7 @@ from jaxtissue.fronts import GOING, HOME, LOST, Fronts, begin, passes, refine, s
 from jaxtissue.leads import TOUCH, Leads, ranges
 from jaxtissue.tube import Tube
 
+CARE = 2.0, 4.0  # by how much steps are shorter in a second and a third try
 FIRST = 8  # of the seeds one in so many is followed at first, then those on no edge yet
 
 
@@ -46,11 +47,20 @@ class Seeds(NamedTuple):
 def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
     """All edges and vertices of the cells of backbones at (axial, angle) positions, [n, 2], in float64.
 
-    Every step looks at all backbones near enough to lead, so none is missed. Edges of a part of the diagram
+    Every step looks at all backbones near enough to lead; where an end stays open, or two edges come in at
+    it, all is traced again in shorter steps. Edges of a part of the diagram
     that no edge joins to a wall beside a backbone are not seen: closed edges within the tissue. Paper,
     section 4.1.
     """
-    leads = Leads(positions, tube)
+    graph = _trace(Leads(positions, tube))
+    for care in CARE:
+        if graph.open_ends:  # some step crossed a wall and crossed it back
+            careful = _trace(Leads(positions, tube, care))
+            graph = min(graph, careful, key=lambda graph: graph.open_ends)
+    return graph
+
+
+def _trace(leads: Leads) -> EdgeGraph:
     graph, seeds = _Growing(leads), seed(leads)
     graph.grow(Seeds(*(column[::FIRST] for column in seeds)))
     graph.grow(Seeds(*(column[~graph.covers(seeds)] for column in seeds)))
@@ -226,8 +236,7 @@ class _Growing:
         points = np.where((along > 0)[:, None, None], points, points[:, ::-1])
         points, tangents, segment = refine(points, labels[begun[edge, 0]], leads)
         four = np.array(self.labels, int).reshape(-1, 4)
-        real = (four < n).sum(axis=1)
-        due = (real == 4) * 4 + (real == 3) * 4 + (real == 2) * 2  # triples with at least two cells
+        due = np.array([0, 0, 2, 4, 4])[(four < n).sum(axis=1)]  # triples with at least two cells
         return EdgeGraph(
             n,
             np.array(self.points).reshape(-1, 3),

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from jaxtissue.leads import TINY, TOUCH, Leads
 
 STEP = 0.6  # longest step, in mean cell widths at the local radius
+NEAR = 0.5  # longest step, in distances from the axis: within it edges bend as they come near the lumen
 TURN = 0.4  # longest step, in radii of curvature
 BENT = 0.85  # cosine of the most that an edge may turn in a step
 FINE = 0.3  # most that edges turn, in radians, in the segments that are kept
@@ -59,12 +60,14 @@ def begin(
 
 def widest(point: Float[np.ndarray, "m 3"], turn: Float[np.ndarray, "m 3"], leads: Leads) -> np.ndarray:
     """The longest step allowed at points of edges of given curvature."""
-    width = np.sqrt(2 * np.pi * leads.length / leads.count * np.hypot(point[:, 1], point[:, 2]))
-    return np.minimum(STEP * width, TURN / np.maximum(np.sqrt((turn**2).sum(axis=1)), TINY))
+    radius = np.hypot(point[:, 1], point[:, 2])
+    width = np.sqrt(2 * np.pi * leads.length / leads.count * radius)
+    bow = 1 / np.maximum(np.sqrt((turn**2).sum(axis=1)), TINY)
+    return np.minimum(np.minimum(STEP * width, NEAR * radius), TURN * bow) / leads.care
 
 
 def step(fronts: Fronts, leads: Leads) -> tuple[Fronts, Int[np.ndarray, " m"]]:
-    """One step of every front, and who is met: a label, GOING, HOME, or LOST for a step to be tried shorter."""
+    """One step of every front, and who is met: a label, GOING, HOME, or LOST: to be tried shorter."""
     old, longest = fronts.point, fronts.longest
     size = np.minimum(longest, np.maximum(fronts.safe, longest / 20))
     moved, met = advance(fronts, size, leads)
@@ -132,7 +135,8 @@ def advance(fronts: Fronts, size: np.ndarray, leads: Leads) -> tuple[Fronts, np.
 def refine(
     points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"], leads: Leads
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 2 3"], Int[np.ndarray, " t"]]:
-    """Segments of edges halved until they hardly turn, and follow the cubic through their ends: points, unit tangents, and which segment each is of."""
+    """Segments of edges halved until they hardly turn, and follow the cubic through their ends: points, unit
+    tangents, and which of the segments given each is of."""
     tangents = leads.tangent(points.reshape(-1, 3), np.repeat(labels, 2, axis=0)).reshape(-1, 2, 3)
     segment = new = np.arange(len(points))
     for _ in range(6):

@@ -8,6 +8,8 @@ r^2 - R_b^2, -x and x - L. An edge is where three labels lead equally, a vertex 
 sorted, so that a bound is never the first.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 
@@ -18,7 +20,7 @@ TINY = 1e-300
 TOUCH = 1e-11  # in units of R_b + L: nearer is taken as touching
 BLOCK = 2**15  # pairs of point and rival compared at once: what fits the processor's cache
 TURNS = 8  # most Newton steps
-SLACK = 0.3  # how much more than foreseen edges and walls turn against each other in the longest step
+SLACK = 0.6  # how much more than foreseen edges and walls turn against each other in the longest step
 
 
 def cross(
@@ -43,7 +45,8 @@ def ranges(first: Int[np.ndarray, " m"], size: Int[np.ndarray, " m"]) -> tuple[n
 class Leads:
     """Leads of the labels of one tissue; points [m, 3], label rows [m, k], gradients [3, m, k - 1]."""
 
-    def __init__(self, positions: ArrayLike, tube: Tube) -> None:
+    def __init__(self, positions: ArrayLike, tube: Tube, care: float = 1.0) -> None:
+        self.care = care  # by how much steps are shorter
         axial, angle = np.pad(np.asarray(positions, float).T, ((0, 0), (0, BOUNDS)))
         self.count, self.axial = len(axial) - BOUNDS, axial
         self.cosine, self.sine = np.cos(angle), np.sin(angle)
@@ -87,7 +90,7 @@ class Leads:
     def bend(
         self, point: Float[np.ndarray, "m 3"], labels: Int[np.ndarray, "m k"], ahead: Float[np.ndarray, "m 3"]
     ) -> Float[np.ndarray, "m k-1"]:
-        """Second derivatives, along straight lines ahead, of the leads of all labels but the first over it."""
+        """Second derivatives, along straight lines ahead, of the leads that `over_first` gives."""
         cosine, sine = self.cosine[labels], self.sine[labels]
         (_, y, z), (_, along_y, along_z) = point.T[..., None], ahead.T[..., None]
         bend = 2 * (y * cosine + z * sine > self.inner) * (along_y * cosine + along_z * sine) ** 2
@@ -161,8 +164,8 @@ class Leads:
         """What `foremost` gives, and how far, `reach` at most, one may go ahead along a curve of given
         tangent and its derivative before an unseen wall could be crossed and crossed back.
 
-        Distances change no faster than places, so whoever leads within reach is at most as far as the own backbone comes
-        to be, and reach more; and |x_j - x| <= d_j: no list of rivals is needed.
+        Distances change no faster than places, so whoever leads within reach is now at most as far as the
+        own backbone will be, and reach more; and |x_j - x| <= d_j: no list of rivals is needed.
         """
         if not len(point):
             return np.zeros(0, int), np.zeros(0), np.zeros(0)
@@ -209,7 +212,7 @@ class Leads:
         within = span**2 - point[:, 1] ** 2 - point[:, 2] ** 2
         ends = np.searchsorted(np.cumsum(size), np.arange(0, size.sum(), BLOCK)[1:])
         cuts, rows, rivals = np.unique([0, *ends, len(size)]), [np.zeros(0, int)], [np.zeros(0, int)]
-        for start, stop in zip(cuts[:-1], cuts[1:], strict=True):
+        for start, stop in pairwise(cuts):
             row, place = ranges(first[start:stop], size[start:stop])
             row += start
             x, y, z = point[row].T

@@ -7,8 +7,9 @@ from jaxtyping import ArrayLike, Bool, Float, Int
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from jaxtissue.contacts import Faces, find_faces
+from jaxtissue.contacts import Faces, along, find_faces
 from jaxtissue.edges import EdgeGraph, trace_edges
+from jaxtissue.leads import Leads
 from jaxtissue.tube import Tube
 
 GAP = 1e-9  # of R_b: a gap in a silhouette that is no error of rounding
@@ -78,7 +79,7 @@ def find_forms(positions: Float[ArrayLike, "n 2"], tube: Tube, edges: EdgeGraph 
 def _find_rings(place: np.ndarray, tube: Tube, graph: EdgeGraph) -> Bool[np.ndarray, " n"]:
     """Cells whose silhouette leaves out some radius."""
     n, inner, outer = graph.cells, float(tube.apical_radius), float(tube.basal_radius)
-    low, high = _radial_ranges(graph)
+    low, high = _radial_ranges(graph, Leads(place, tube))
     ahead = np.concatenate([place[:, 0], [np.nan, np.nan, -np.inf, np.inf]])  # no silhouette on the surfaces
     cells, edges = [np.arange(n)], [np.full(n, -1)]
     for own, first, second in ((0, 1, 2), (1, 0, 2), (2, 0, 1)):
@@ -100,22 +101,27 @@ def _find_rings(place: np.ndarray, tube: Tube, graph: EdgeGraph) -> Bool[np.ndar
     return np.bincount(cell, following > high + GAP * outer, n) > 0
 
 
-def _radial_ranges(graph: EdgeGraph) -> tuple[Float[np.ndarray, " e"], Float[np.ndarray, " e"]]:
-    """Least and greatest radius on each edge; within segments, of the cubic through its ends."""
+def _radial_ranges(graph: EdgeGraph, leads: Leads) -> tuple[Float[np.ndarray, " e"], Float[np.ndarray, " e"]]:
+    """Least and greatest radius on each edge; found on the cubics of its segments."""
     ends, tangents = graph.points, graph.tangents
     radius = np.hypot(ends[..., 1], ends[..., 2])
     rise = (ends[..., 1:] * tangents[..., 1:]).sum(axis=-1) / radius
-    rise *= np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)[:, None]
+    chord = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    rise *= chord[:, None]
     # between the ends, where the derivative of the cubic vanishes: c + 2 b s + a s^2 = 0
     gain = radius[:, 1] - radius[:, 0]
     c, b, a = rise[:, 0], 3 * gain - 2 * rise[:, 0] - rise[:, 1], 3 * (rise[:, 0] + rise[:, 1] - 2 * gain)
     root = np.sqrt(np.maximum(b**2 - a * c, 0))
     low, high = radius.min(axis=1), radius.max(axis=1)
-    for q in (-(b + np.where(b < 0, -root, root)),):
-        for s in (q / np.where(a == 0, np.inf, a), c / np.where(q == 0, np.inf, q)):
-            s = np.clip(np.where(b**2 >= a * c, s, 0), 0, 1)
-            value = radius[:, 0] + s * (c + s * (b + s * a / 3))
-            low, high = np.minimum(low, value), np.maximum(high, value)
+    q = -(b + np.where(b < 0, -root, root))
+    labels = graph.edge_labels[graph.segment_edge]
+    for s in (q / np.where(a == 0, np.inf, a), c / np.where(q == 0, np.inf, q)):
+        inside = np.flatnonzero((b**2 >= a * c) & (s > 0) & (s < 1))
+        at = along(ends[inside], tangents[inside] * chord[inside, None, None], s[inside, None])[0]
+        # of the edge itself: exact to second order in the error of s
+        at = leads.solve(at, labels[inside], 1e-7 * chord[inside])[0]
+        value = np.hypot(at[:, 1], at[:, 2])
+        low[inside], high[inside] = np.fmin(low[inside], value), np.fmax(high[inside], value)
     count = len(graph.edge_labels)
     lowest, highest = np.full(count, np.inf), np.zeros(count)
     np.minimum.at(lowest, graph.segment_edge, low)
