@@ -8,7 +8,7 @@ import pytest
 import jaxtissue
 
 TISSUE = ["backbones", "tube", "sampling", "lines", "voronoi", "spread", "cells", "candidates", "exact"]
-CONTACTS = ["leads", "edges", "contacts", "transitions"]
+CONTACTS = ["leads", "edges", "contacts", "transitions", "statistics", "laws"]
 MOVES = ["energy", "coloring", "metropolis", "anneal"]
 PEOPLE = [
     "io",
