@@ -14,6 +14,7 @@ _HELP = {
     "anneal": "anneal a tissue into a folder, or take up a run there",
     "measure": "measure the cells of given backbones",
     "compare": "show the errors of each preset against the exact path",
+    "reproduce": "make the paper's table and figures, and a report that sets its numbers beside ours",
     "info": "show versions, devices, precision and the optional packages found",
 }
 
@@ -42,6 +43,7 @@ def command_parser() -> argparse.ArgumentParser:
             command.add_argument(_option(size), type=_number(0, above=True), required=True, metavar="X")
         _add_folder(command, required=name == "measure")
     _add_measure(options["measure"])
+    _add_reproduce(options["reproduce"])
     options["compare"].add_argument(
         "--samples", type=_count(2, 10_000), default=50, metavar="S", help="points per backbone (default: 50)"
     )
@@ -82,6 +84,20 @@ def _add_measure(command: argparse.ArgumentParser) -> None:
         default = getattr(Settings, name)
         text = f"in the energy (default: {default})"
         command.add_argument(_option(name), type=size, default=default, metavar=metavar, help=text)
+
+
+def _add_reproduce(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "items", nargs="*", metavar="ITEM", help="table1, fig5, fig7 ... fig16 (default: all)"
+    )
+    command.add_argument("--quick", action="store_true", help="a small version of everything, in minutes")
+    command.add_argument(
+        "--seeds", type=_count(2, 1000), metavar="N", help="runs per mean (default: 10, quick: 2)"
+    )
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder to make or to go on with"
+    )
+    command.add_argument("--force", action="store_true", help="make anew what is there already")
 
 
 def _add(command: Any, name: str, text: str, default: Any, **options: Any) -> None:

@@ -1,4 +1,4 @@
-"""The command line: anneal, measure, compare, info. Results go to stdout, progress and errors to stderr."""
+"""The command line. Results go to stdout, progress and errors to stderr."""
 
 import sys
 import time
@@ -14,6 +14,7 @@ from jaxtissue import io
 from jaxtissue.arguments import TUBE_SIZES, command_parser
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import resolution_named
+from jaxtissue.reproduce import choose_items, make_plan, reproduce
 from jaxtissue.runs import resume_annealing, run_annealing
 from jaxtissue.settings import Settings, provenance, saved_settings, versions
 from jaxtissue.tables import compare_presets, tabulate_cells
@@ -26,7 +27,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 2 bad input, 128 + signal stopped, 1 other."""
     try:
         arguments = vars(command_parser().parse_args(argv))
-        work = {"anneal": anneal, "measure": measure, "compare": compare, "info": info}
+        work = {"anneal": anneal, "measure": measure, "compare": compare}
+        work |= {"reproduce": reproduce_paper, "info": info}
         return work[arguments.pop("command")](arguments)
     except ValueError as error:
         return _fail(error, 2)
@@ -86,6 +88,18 @@ def compare(arguments: dict[str, Any]) -> int:
         rows = [dict(zip(errors, row, strict=True)) for row in zip(*errors.values(), strict=True)]
         summary = {"samples": samples, "exact_seconds": exact_seconds, "presets": rows}
         io.write_json(folder / "compare.json", summary | provenance())
+    return 0
+
+
+def reproduce_paper(arguments: dict[str, Any]) -> int:
+    """Make the paper's table and figures, and a report that sets its numbers beside ours."""
+    items = choose_items(arguments["items"])
+    _use_x64(arguments["x64"])
+    plan = make_plan(arguments["quick"], arguments["seeds"])
+    manifest = reproduce(arguments["out"], items, plan, arguments["force"])
+    for item in items:
+        print(f"{item:8}{manifest['items'][item]['seconds']:10.1f} s")
+    print(f"written to {arguments['out'] / 'report.md'}")
     return 0
 
 

@@ -39,7 +39,7 @@ class Annealing:
 
 
 class History(NamedTuple):
-    """A run from its first row: columns of `SweepRecord`, and the (axial, angle) positions after each sweep."""
+    """A run from its first row: columns of `SweepRecord`, and the positions after each sweep."""
 
     records: dict[str, Float[np.ndarray, "rows"]]
     positions: Float[np.ndarray, "rows n 2"]
