@@ -40,7 +40,6 @@ class Plan:
     ratios: tuple[float, ...] = (1.25, 1.5, 2, 3, 5, 7, 10, 15, 20, 35, 50, 100, 200, 1000)
     table_cells: tuple[int, ...] = (100, 500, 1000)
     timed_sweeps: int = 5
-    pictured_cells: int = 1000
 
     def tube(self, ratio: float) -> Tube:
         """The tube of a surface ratio R_b / R_a, with R_b = 10."""
@@ -61,7 +60,6 @@ QUICK = Plan(
     ratios=(1.25, 2, 10, 50),
     table_cells=(100,),
     timed_sweeps=3,
-    pictured_cells=400,
 )
 
 

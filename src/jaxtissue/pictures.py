@@ -56,7 +56,7 @@ def plot_cell_in_tissues(
         shapes.append(shape_cell(place, tube, cell))
         _draw(panel, [(shapes[-1], {}, _PAIR[0])], cell_edges(edges, place, cell))
         panel.plot([0, 0], [0, 0], heights, "--", color="#D55E00", lw=2, zorder=10)
-        panel.set_title(title, y=0.97)
+        panel.set_title(title, y=1.03)
     for panel in axes:
         _frame(panel, np.concatenate([shape.corners for shape in shapes]))
     backbone = Line2D([], [], color="#D55E00", lw=2, ls="--", label="backbone, within the cell")

@@ -29,8 +29,9 @@ Nothing was adjusted to meet the paper. `not comparable` means that no criterion
 a quantity that the paper does not define, a number that is not the paper's, or one that this plan leaves out.
 """
 _QUICK = """
-**This is a `--quick` run**: {cells} cells on a tube of length {length:g} (the paper: 500 on 100), {sweeps} sweeps
-(100), {seeds} seeds (10), {ratios} surface ratios. It shows that everything works. Judge by the full run.
+**This is a `--quick` run**: {cells} cells on a tube of length {length:g} (the paper: 500 on 100), {sweeps}
+sweeps (100), {seeds} seeds (10), {ratios} surface ratios. It shows that everything works, no more: the short
+tube has more cells at its ends, and few sweeps relax less. Judge by the full run.
 """
 
 

@@ -83,9 +83,8 @@ def _open(folder: Path, plan: Plan, force: bool) -> dict[str, Any]:
             manifest["items"] = whole
         elif not force:
             kind = "--quick" if planned.get("quick") else "full"
-            raise ValueError(
-                f"{folder} holds a {kind} run with {planned.get('seeds')} seeds; choose another or add --force"
-            )
+            found = f"{folder} holds a {kind} run with {planned.get('seeds')} seeds"
+            raise ValueError(f"{found}; choose another or add --force")
     io.make_folder(folder)
     return manifest
 

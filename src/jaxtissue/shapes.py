@@ -69,7 +69,7 @@ def shape_cell(
     cell: int,
     frame: int | None = None,
     layers: int = 80,
-    across: int = 60,
+    across: int = 100,
 ) -> CellShape:
     """The surface of a cell, from sections at `layers` radii of `across` lines each.
 

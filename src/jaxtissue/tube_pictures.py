@@ -130,7 +130,10 @@ def _middles(edges: Float[np.ndarray, " k+1"]) -> Float[np.ndarray, " k"]:
 def _frame(axes: Axes3D, tube: Tube) -> None:
     length, radius = float(tube.length), float(tube.basal_radius)
     axes.set(xlim=(0, length), ylim=(-radius, radius), zlim=(-radius, radius))
-    look: dict[str, Any] = {"aspect": (length, 2 * radius, 2 * radius), "zoom": 1.25}
+    look: dict[str, Any] = {
+        "aspect": (length, 2 * radius, 2 * radius),
+        "zoom": min(1.25, 0.7 + 0.14 * length / radius),
+    }
     axes.set_box_aspect(**look)
     directions: list[Any] = [axes.xaxis, axes.yaxis, axes.zaxis]
     axes.set(xlabel="x, along the axis (tube units)", ylabel="y (tube units)", zlabel="z (tube units)")
