@@ -14,6 +14,7 @@ PEOPLE = [
     "io",
     "plot",
     "settings",
+    "stopping",
     "tables",
     "runs",
     "arguments",
