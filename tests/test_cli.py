@@ -25,7 +25,10 @@ from jaxtissue.tube import Tube
 SIZES = ("--length", "12", "--apical-radius", "2", "--basal-radius", "4")
 SMALL = ("anneal", *SIZES, "--cells", "16", "--seed", "3")
 LONG = (*SMALL, "--sweeps", "80")
-SIZE_COLUMNS = "cell,axial,angle,volume,lateral_area,apical_area,basal_area,apical_perimeter,basal_perimeter,energy,is_end"
+SIZE_COLUMNS = (
+    "cell,axial,angle,volume,lateral_area,apical_area,basal_area,"
+    "apical_perimeter,basal_perimeter,energy,is_end"
+)
 CONTACT_COLUMNS = (
     "neighbors,apical_basal_neighbors,apical_neighbors,basal_neighbors,internal_neighbors,"
     "transitions,is_scutoid,is_ring,pieces"
