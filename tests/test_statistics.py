@@ -265,8 +265,17 @@ def test_the_law_is_recovered():
         np.testing.assert_allclose(found, [6, 14.5, 7, 1.1], rtol=1e-6)
         assert fit.residual < 1e-8 and fit.r2 == pytest.approx(1)
         np.testing.assert_allclose(fit.predict(1000), law(1000))
-    falling = fit_neighbor_law(RATIOS, 20 - law(RATIOS))
-    np.testing.assert_allclose([falling.low, falling.high, falling.steepness], [14, 5.5, 1.1], rtol=1e-6)
+
+
+def test_a_falling_law_is_a_rising_one_upside_down():
+    neighbors = NeighborLaw(6, 14.5, 7, 1.1, {}, 0, 1)(RATIOS)
+    neighbors += np.random.default_rng(3).normal(0, 0.05, len(RATIOS))
+    rising, falling = fit_neighbor_law(RATIOS, neighbors), fit_neighbor_law(RATIOS, 20 - neighbors)
+    found = [20 - falling.low, 20 - falling.high, falling.middle, falling.steepness]
+    expected = [rising.low, rising.high, rising.middle, rising.steepness]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    assert falling.standard_errors == pytest.approx(rising.standard_errors, rel=1e-4)
+    assert rising.standard_errors["low"] != pytest.approx(rising.standard_errors["high"], rel=0.1)
 
 
 def test_standard_errors_are_those_of_repeated_measurements():
