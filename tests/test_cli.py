@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -16,10 +17,11 @@ import pytest
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 import jaxtissue
-from jaxtissue import io, tables
+from jaxtissue import cli, io, tables
 from jaxtissue.anneal import Annealer
 from jaxtissue.cli import main
 from jaxtissue.lines import PRESETS
+from jaxtissue.statistics import find_connectivity
 from jaxtissue.tube import Tube
 
 SIZES = ("--length", "12", "--apical-radius", "2", "--basal-radius", "4")
@@ -360,6 +362,20 @@ def test_small_contacts_are_left_out_and_old_tables_removed(annealed, tmp_path):
     assert {path.name for path in folder.iterdir()} == {"cells.csv", "summary.json"}
     assert ",".join(read_table(folder / "cells.csv")[0]) == SIZE_COLUMNS
     assert list(json.loads((folder / "summary.json").read_text())) == SIZES_SUMMED
+
+
+def test_lost_edges_are_told(annealed, tmp_path, monkeypatch, capsys):
+    def careless(*arguments):
+        found = find_connectivity(*arguments)
+        return replace(found, transitions=replace(found.transitions, open_ends=3))
+
+    run = ["measure", str(annealed / "backbones.csv"), *SIZES, "--resolution", "draft", "--out"]
+    assert main([*run, str(tmp_path / "whole")]) == 0
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(cli, "find_connectivity", careless)
+    assert main([*run, str(tmp_path / "lost")]) == 0
+    assert "warning: 3 edges" in capsys.readouterr().err
+    assert json.loads((tmp_path / "lost" / "summary.json").read_text())["open_ends"] == 3
 
 
 def test_a_run_can_go_without_contacts(tmp_path, capsys):

@@ -23,7 +23,7 @@ from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes
 from jaxtissue.settings import Settings, now, provenance
 from jaxtissue.statistics import find_connectivity
 from jaxtissue.stopping import Stop
-from jaxtissue.tables import CONTACT_TABLES, contact_summary, tabulate_cells, write_contacts
+from jaxtissue.tables import CONTACT_TABLES, contact_summary, contact_warning, tabulate_cells, write_contacts
 
 FIGURES = ("energy.png", "volumes.png", "surfaces.png")
 TABLES = ("initial_backbones.csv", "backbones.csv", "cells.csv", "sweeps.csv")
@@ -181,6 +181,8 @@ def _finish(run: Run) -> None:
     if connectivity is not None:
         write_contacts(run.folder, connectivity)
         summary |= contact_summary(connectivity)
+        if warning := contact_warning(connectivity):
+            _say(f"warning: {warning}")
     shown = run.kept | {run.state.sweep: run.state.positions}
     fine = [measure_tissue(jnp.asarray(at), model.tube, PRESETS["fine"])[0] for at in shown.values()]
     fine_energy = [float(model.cell_energy(cells, model).sum()) for cells in fine]

@@ -73,6 +73,13 @@ def contact_summary(connectivity: Connectivity) -> dict[str, Any]:
     return summary | {"open_ends": connectivity.transitions.open_ends}
 
 
+def contact_warning(connectivity: Connectivity) -> str:
+    """What a user should know before trusting the contacts; empty where nothing is amiss."""
+    lost = connectivity.transitions.open_ends
+    remedy = "contacts and transitions may be missing; move coincident backbones apart"
+    return f"{lost} edges of the diagram could not be followed; {remedy}" if lost else ""
+
+
 def write_contacts(
     folder: Path, connectivity: Connectivity, columns: Mapping[str, np.ndarray] | None = None
 ) -> None:
