@@ -17,6 +17,7 @@ PEOPLE = [
     "io",
     "plot",
     "settings",
+    "stopping",
     "tables",
     "runs",
     *REPRODUCTION,

@@ -69,6 +69,7 @@ def _add_anneal(command: argparse.ArgumentParser) -> None:
     }
     for name, (kind, metavar, text) in kinds.items():
         _add(command, name, text, getattr(Settings, name), type=kind, metavar=metavar)
+    _add_contacts(command, argparse.SUPPRESS, argparse.SUPPRESS)
     _add(command, "algorithm", "rounds of independent moves, or one move at a time", Settings.algorithm,
          choices=("is-mh", "mh"))  # fmt: skip
     start = command.add_mutually_exclusive_group()
@@ -84,6 +85,15 @@ def _add_measure(command: argparse.ArgumentParser) -> None:
         default = getattr(Settings, name)
         text = f"in the energy (default: {default})"
         command.add_argument(_option(name), type=size, default=default, metavar=metavar, help=text)
+    _add_contacts(command, Settings.minimum_contact, Settings.no_contacts)
+    command.add_argument("--graph", action="store_true", help="write the contact graph too, as graph.graphml")
+
+
+def _add_contacts(command: argparse.ArgumentParser, minimum: Any, without: Any) -> None:
+    text = f"leave out walls below F mean walls (default: {Settings.minimum_contact:g})"
+    command.add_argument("--minimum-contact", type=_number(0), default=minimum, metavar="F", help=text)
+    text = "sizes only: trace no contacts and transition points"
+    command.add_argument("--no-contacts", action="store_true", default=without, help=text)
 
 
 def _add_reproduce(command: argparse.ArgumentParser) -> None:

@@ -1,6 +1,7 @@
 """Laws of connectivity: how neighbors grow with the surface ratio, and the bounds that tightness sets."""
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,13 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 from scipy import sparse
-from scipy.optimize import curve_fit
+from scipy.optimize import OptimizeWarning, curve_fit
 from scipy.special import expit
 
 from jaxtissue.contacts import Contacts
 from jaxtissue.spread import covering_radius, neighbor_bound, separation, tube_neighbor_bound
 from jaxtissue.statistics import Connectivity, inside
 from jaxtissue.tube import Tube
+
+EXTREME = 50.0  # ln of a surface ratio that no tissue has
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ def fit_neighbor_law(ratios: Float[ArrayLike, " k"], neighbors: Float[ArrayLike,
     """The neighbor law by least squares, each point with the same weight (paper, Fig. 12).
 
     Raises `ValueError` for fewer than four ratios, values that are not finite, ratios not above 0, and points
-    that no logistic function fits.
+    that no logistic function fits, such as those that do not level off.
 
     >>> law = fit_neighbor_law([1, 2, 5, 10, 50], NeighborLaw(6, 10, 5, 1, {}, 0, 1)([1, 2, 5, 10, 50]))
     >>> round(law.low, 3), round(law.high, 3), round(law.middle, 3), round(law.steepness, 3)
@@ -65,9 +68,15 @@ def fit_neighbor_law(ratios: Float[ArrayLike, " k"], neighbors: Float[ArrayLike,
     try:
         if spread == 0:
             raise RuntimeError("they are all the same")
-        best, covariance = curve_fit(_logistic, place, found, start, maxfev=20_000, xtol=1e-12, ftol=1e-12)
+        with warnings.catch_warnings():  # of errors that are not numbers, as they are then returned
+            warnings.simplefilter("ignore", OptimizeWarning)
+            best, covariance = curve_fit(_logistic, place, found, start, maxfev=5_000, xtol=1e-12, ftol=1e-12)
+        if abs(best[2]) > EXTREME:
+            raise RuntimeError("they show no bend")
     except RuntimeError as error:
-        raise ValueError(f"no logistic function fits the neighbors ({error}); give more ratios") from error
+        reason = " ".join(str(error).split())
+        remedy = "give ratios from near 1 to where neighbors level off"
+        raise ValueError(f"no logistic function fits the neighbors ({reason}); {remedy}") from error
     low, high, middle, steepness = best.tolist()
     if steepness < 0:  # the same function with its ends exchanged
         low, high, steepness = high, low, -steepness

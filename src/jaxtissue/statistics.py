@@ -79,25 +79,19 @@ def summarize_connectivity(connectivity: Connectivity, inner_only: bool = False)
     """
     columns = tabulate_connectivity(connectivity)
     chosen = ~connectivity.is_end if inner_only else np.ones(len(connectivity.is_end), bool)
-    columns |= {
-        f"{name}_degree": connectivity.contacts.degree(*SURFACES[name]) for name in ("apical", "basal")
-    }
+    for surface in ("apical", "basal"):
+        columns[f"{surface}_degree"] = connectivity.contacts.degree(*SURFACES[surface])
+    residual = columns["neighbors"] - columns["apical_degree"] - columns["transitions"] / 2
+    columns["identity_residual"] = residual
     columns["with_internal"] = columns["internal_neighbors"] > 0
     columns["detached"] = columns["pieces"] > 1
-    names = (
-        "neighbors",
-        "apical_basal_neighbors",
-        "apical_neighbors",
-        "basal_neighbors",
-        "internal_neighbors",
-    )
+    names = ("neighbors", *(f"{kind}_neighbors" for kind in KIND_ORDER))
     mean = {name: _mean(column[chosen]) for name, column in columns.items()}
     summary = {name: mean[name] for name in (*names, "apical_degree", "basal_degree", "transitions")}
     summary["transitions_max"] = float(columns["transitions"][chosen].max()) if chosen.any() else math.nan
     summary |= {"scutoid_fraction": mean["is_scutoid"], "internal_fraction": mean["with_internal"]}
     summary |= {"ring_fraction": mean["is_ring"], "detached_fraction": mean["detached"]}
-    residual = mean["neighbors"] - mean["apical_degree"] - mean["transitions"] / 2
-    return summary | {"identity_residual": residual}
+    return summary | {"identity_residual": mean["identity_residual"]}
 
 
 def polygon_classes(
