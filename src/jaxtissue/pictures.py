@@ -184,10 +184,9 @@ def _draw_unrolled(
     for stroke in strokes[np.ptp(strokes[..., 0], axis=1) < 180]:
         axes.plot(*stroke.T, color=_EDGE, lw=1.2)
     axes.plot(*unrolled(points).T, "o", color="black", markerfacecolor="white", zorder=5)
-    heights = shape.corners[..., 1:]
-    axes.set(
-        xlim=(-180, 180), ylim=(0, 1.02 * np.linalg.norm(heights, axis=-1).max()), title="its wall, unrolled"
-    )
+    radii = np.linalg.norm(shape.corners[..., 1:], axis=-1)
+    spare = 0.03 * np.ptp(radii)
+    axes.set(xlim=(-180, 180), ylim=(radii.min() - spare, radii.max() + spare), title="its wall, unrolled")
     axes.set(xlabel="direction round the backbone (degrees)", ylabel="distance from the axis (tube units)")
     axes.set_xticks(range(-180, 181, 90))
 
