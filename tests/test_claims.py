@@ -51,6 +51,9 @@ def ratios(low=5.6, high=10.5, internal=1.0):
     }
     table |= {"internal_neighbors": internal * rise, "apical_basal_neighbors": 5.5 * (1 - rise) + 1}
     table |= {f"{kind}_neighbors": 0.2 + 4 * rise for kind in ("apical", "basal")}
+    table |= {
+        f"{bound}_hops_{hops}": 0.1 * hops + 0 * rise for bound, hops in (("lemma_2", 1), ("corollary_1", 2))
+    }
     for threshold in THRESHOLDS[1:]:
         for name in ("neighbors", "internal_fraction", *(f"{kind}_neighbors" for kind in KIND_ORDER)):
             table[f"{name}_above_{100 * threshold:g}"] = table[name] * (1 - threshold)
@@ -118,6 +121,8 @@ def test_a_tissue_without_plateau_does_not_meet_the_papers_figures():
     assert verdicts("fig12", {"fig12": table})["mean neighbors at ratio 1000"] == NOT_MET
     found = verdicts("fig15", {"fig15": table})
     assert found["internal neighbors do not go substantially above one"] == NOT_MET
+    broken = table | {"lemma_2_hops_1": 1.5 + 0 * table["ratio"]}
+    assert verdicts("fig12", {"fig12": broken})["Lemmas 1 and 2, Corollary 1 bound it by phi"] == NOT_MET
     few = {name: column[np.isin(table["ratio"], [1.25, 10])] for name, column in table.items()}
     found = verdicts("fig12", {"fig12": few})
     assert (

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtissue import io
 from jaxtissue.candidates import measure_tissue
 from jaxtissue.energy import tube_model
+from jaxtissue.laws import bound_ratios
 from jaxtissue.spread import covering_radius, separation
 from jaxtissue.statistics import KIND_ORDER, find_connectivity, summarize_connectivity
 from jaxtissue.tissues import Annealing, History, anneal_histories, random_tissue, relax_lloyd
@@ -168,7 +169,8 @@ def measure_ratios(plan: Plan, store: Store) -> Table:
     """Connectivity of random, Lloyd-relaxed and annealed tissue against the surface ratio (Figs. 12, 13, 15).
 
     A row for each ratio, kind of tissue and seed: energy, means over all cells, and, as `..._above_1`, `_2`
-    and `_5`, the means if walls below 1, 2 and 5 % of the mean wall are no contacts.
+    and `_5`, the means if walls below 1, 2 and 5 % of the mean wall are no contacts; `lemma_...` and
+    `corollary_...` are the largest neighborhoods / the bounds that the tissue's tightness sets.
     """
     rows = []
     for ratio in plan.ratios:
@@ -199,6 +201,9 @@ def _connect(plan: Plan, store: Store, ratio: float, kind: str, seed: int) -> di
     row |= summarize_connectivity(found)
     inner = summarize_connectivity(found, inner_only=True)
     row |= {f"{name}_inner": inner[name] for name in ("neighbors", "transitions", "scutoid_fraction")}
+    for bound in bound_ratios(place, tube, found, hops=(2, 3)):
+        row[f"{bound['bound'].lower().replace(' ', '_')}_hops_{bound['hops']}"] = bound["ratio"]
+        row["tightness"] = bound["tightness"]
     contacts, mean = found.contacts, found.contacts.area.mean()
     for threshold in THRESHOLDS[1:]:
         kept = contacts.area >= threshold * mean

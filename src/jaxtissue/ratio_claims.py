@@ -29,6 +29,12 @@ def judge_neighbors(tables: Mapping[str, Table], plan: Plan) -> Claims:
     )
     claims.add(f"mean neighbors at ratio {ratio:g}", ("below 11", _shown(found)), met, "below 11", why)
     _judge_law(claims, "neighbors grow as a logistic function", mean, "neighbors")
+    bounds = [name for name in tables["fig12"] if name.startswith(("lemma", "corollary"))]
+    most = {name: float(tables["fig12"][name].max()) for name in bounds}
+    ours = ", ".join(f"{name.replace('_', ' ')}: {value:.2g}" for name, value in most.items())
+    why = "the largest neighborhood / its bound, over all tissues, random and annealed"
+    met = max(most.values()) <= 1 if most else None
+    claims.add("Lemmas 1 and 2, Corollary 1 bound it by phi", ("proved", ours), met, "at most 1", why)
     _add_gland(claims, tables["fig12"], "neighbors", published.GLAND.neighbors)
     return claims
 
