@@ -1,7 +1,7 @@
 """A statement of the paper beside what was found, and the verdict by a criterion stated with it.
 
-The criteria were fixed before annealed tissue was measured in full: a number is met within 20 %, a mean
-number of neighbors within 5 %, a share of cells within 5 points, words by the inequality that says the same.
+A number is met within 20 %, a mean number of neighbors within 5 %, a share of cells within 5 points, similar
+energies within 10 %, words by the inequality that says the same.
 """
 
 from typing import NamedTuple

@@ -64,6 +64,8 @@ def plot_runs(table: Table, as_paper: bool = True) -> tuple[Figure, np.ndarray]:
     """
     figure = Figure(figsize=(12, 8.4), layout="constrained")
     axes = figure.subplots(2, 2)
+    for panel in axes[1]:
+        panel.set_yscale("log")
     for radius, color in ((1.0, _BLUE), (5.0, _ORANGE)):
         rows = where(table, apical_radius=radius, algorithm="is-mh")
         label = f"$R_a$ = {radius:g}"
@@ -101,8 +103,7 @@ def plot_runs(table: Table, as_paper: bool = True) -> tuple[Figure, np.ndarray]:
     for panel in axes[0]:
         panel.set_ylim(bottom=0)
     axes[0, 1].set_xlabel("rounds")
-    axes[1, 0].set(yscale="log")
-    axes[1, 1].set(ylabel="covering radius (tube units); tightness (no unit)", yscale="log")
+    axes[1, 1].set(ylabel="covering radius (tube units); tightness (no unit)")
     for panel in axes.flat:
         panel.legend(fontsize=8)
     return figure, axes
@@ -151,7 +152,10 @@ def grouped(place: np.ndarray, value: np.ndarray) -> Sequence[Float[np.ndarray, 
 
 
 def band(axes: Axes, place: np.ndarray, value: np.ndarray, color: Any, dashes: str, label: str) -> None:
-    places, mean, spread = grouped(place, value)
+    """Draw the mean and the spread of the values at each place; on a logarithmic axis those of their logs."""
+    logs = axes.get_yscale() == "log"
+    places, mean, spread = grouped(place, np.log(value) if logs else value)
+    middle, low, high = (np.exp(part) if logs else part for part in (mean, mean - spread, mean + spread))
     marker = "o" if len(places) < 20 else ""
-    axes.plot(places, mean, dashes, marker=marker, ms=4, color=color, label=label)
-    axes.fill_between(places, mean - spread, mean + spread, color=color, alpha=0.18, lw=0)
+    axes.plot(places, middle, dashes, marker=marker, ms=4, color=color, label=label)
+    axes.fill_between(places, low, high, color=color, alpha=0.18, lw=0)
