@@ -105,7 +105,7 @@ def plot_runs(table: Table, as_paper: bool = True) -> tuple[Figure, np.ndarray]:
     axes[0, 1].set_xlabel("rounds")
     axes[1, 1].set(ylabel="covering radius (tube units); tightness (no unit)")
     for panel in axes.flat:
-        panel.legend(fontsize=8)
+        panel.legend(fontsize=8, loc="lower right" if panel is axes[1, 1] else "upper right")
     return figure, axes
 
 
