@@ -7,23 +7,51 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import jax
+import networkx as nx
 import numpy as np
 import pytest
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 import jaxtissue
-from jaxtissue import io, tables
+from jaxtissue import cli, io, tables
 from jaxtissue.anneal import Annealer
 from jaxtissue.cli import main
 from jaxtissue.lines import PRESETS
+from jaxtissue.statistics import find_connectivity
 from jaxtissue.tube import Tube
 
 SIZES = ("--length", "12", "--apical-radius", "2", "--basal-radius", "4")
 SMALL = ("anneal", *SIZES, "--cells", "16", "--seed", "3")
 LONG = (*SMALL, "--sweeps", "80")
+SIZE_COLUMNS = (
+    "cell,axial,angle,volume,lateral_area,apical_area,basal_area,"
+    "apical_perimeter,basal_perimeter,energy,is_end"
+)
+CONTACT_COLUMNS = (
+    "neighbors,apical_basal_neighbors,apical_neighbors,basal_neighbors,internal_neighbors,"
+    "transitions,is_scutoid,is_ring,pieces"
+)
+SIZES_SUMMED = [
+    *("total_volume", "total_lateral_area", "energy"),
+    *("separation", "covering_radius", "tightness", "overflow", "seconds"),
+]
+COUNTED = {
+    "neighbors": "deg_any",
+    "apical_basal_neighbors": "deg_both",
+    "apical_neighbors": "deg_aonly",
+    "basal_neighbors": "deg_bonly",
+    "internal_neighbors": "deg_internal",
+    "transitions": "tp_count",
+}
+MEANS = [
+    *("neighbors", "apical_basal_neighbors", "apical_neighbors", "basal_neighbors", "internal_neighbors"),
+    *("apical_degree", "basal_degree", "transitions", "transitions_max", "scutoid_fraction"),
+    *("internal_fraction", "ring_fraction", "detached_fraction", "identity_residual"),
+]
 GOOD = "axial,angle\n1,0\n5,2\n9,4\n"
 
 
@@ -94,6 +122,7 @@ def annealed(tmp_path_factory):
 def test_anneal_leaves_tables_figures_and_a_manifest(annealed):
     assert {path.name for path in annealed.iterdir()} == {
         *("manifest.json", "initial_backbones.csv", "backbones.csv", "cells.csv", "sweeps.csv"),
+        *("contacts.csv", "transitions.csv"),
         *("checkpoint.npz", "energy.png", "volumes.png", "surfaces.png"),
     }
     sweeps, cells = read_table(annealed / "sweeps.csv"), read_table(annealed / "cells.csv")
@@ -146,6 +175,8 @@ CHANGES = [
     ("--x64",),
     ("--sweeps", "79"),
     ("--final-temperature", "1"),
+    ("--minimum-contact", "0.1"),
+    ("--no-contacts",),
 ]
 
 
@@ -160,7 +191,8 @@ def test_a_changed_argument_is_refused(annealed, change, capsys):
 
 def same_run(folder, whole):
     """Whether two runs left the same, to the last byte but for the seconds."""
-    names = ("initial_backbones.csv", "backbones.csv", "cells.csv", "volumes.png", "surfaces.png")
+    names = ("initial_backbones.csv", "backbones.csv", "cells.csv", "contacts.csv", "transitions.csv")
+    names += ("volumes.png", "surfaces.png")
     assert without_seconds(folder / "sweeps.csv") == without_seconds(whole / "sweeps.csv")
     return all((folder / name).read_bytes() == (whole / name).read_bytes() for name in names)
 
@@ -227,6 +259,7 @@ def test_a_users_backbones_are_annealed_under_their_names(annealed, tmp_path):
     assert [row["cell"] for row in cells] == [str(k) for k in range(16)] and [
         row["name"] for row in cells
     ] == names
+    assert ",".join(cells[0]) == f"{SIZE_COLUMNS},{CONTACT_COLUMNS},name"
     assert [row["cell"] for row in read_table(folder / "backbones.csv")] == names
     assert column(initial, "axial").tolist() == axial.tolist()
     np.testing.assert_allclose(column(initial, "angle"), angle % (2 * np.pi), atol=1e-12)
@@ -254,9 +287,7 @@ def test_measure_meets_the_reference(load_reference, tmp_path, capsys):
         read_table(tmp_path / "m" / "cells.csv"),
         json.loads((tmp_path / "m" / "summary.json").read_text()),
     )
-    assert ",".join(rows[0]) == (
-        "cell,axial,angle,volume,lateral_area,apical_area,basal_area,apical_perimeter,basal_perimeter,energy,is_end"
-    )
+    assert ",".join(rows[0]) == f"{SIZE_COLUMNS},{CONTACT_COLUMNS}"
     # The bars of the standard preset, rms / mean.
     bars = {"volume": ("V", 0.003), "lateral_area": ("lateral", 0.015), "apical_area": ("apical_area", 0.005)}
     bars |= {"basal_area": ("basal_area", 0.005), "apical_perimeter": ("apical_perim", 0.01)}
@@ -265,15 +296,94 @@ def test_measure_meets_the_reference(load_reference, tmp_path, capsys):
         error = column(rows, name) - data[key]
         assert np.sqrt((error**2).mean()) <= bar * data[key].mean(), name
     np.testing.assert_array_equal(column(rows, "axial"), reference.positions[:, 0])
-    assert list(summary) == [
-        *("total_volume", "total_lateral_area", "energy"),
-        *("separation", "covering_radius", "tightness", "overflow", "seconds"),
-    ]
+    assert list(summary) == [*SIZES_SUMMED, "cells", *MEANS, "inner", "open_ends", "contact_seconds"]
+    assert list(summary["inner"]) == ["cells", *MEANS]
+    for name, key in COUNTED.items():
+        np.testing.assert_array_equal(column(rows, name), data[key], err_msg=name)
+        assert summary[name] == pytest.approx(data[key].mean(), rel=1e-12)
+    inner = np.array([row["is_end"] == "False" for row in rows])
+    assert summary["inner"]["cells"] == inner.sum()
+    assert summary["inner"]["neighbors"] == pytest.approx(data["deg_any"][inner].mean(), rel=1e-12)
+    table = read_table(tmp_path / "m" / "transitions.csv")
+    points = np.stack([column(table, name) for name in "xyz"], axis=1)
+    fours = np.stack([column(table, f"cell_{letter}") for letter in "abcd"], axis=1)
+    expected = np.concatenate([np.sort(data["tv_cells"], axis=1), data["tv_xyz"]], axis=1)
+    # in 64 bits though the sizes are not
+    np.testing.assert_allclose(
+        sorted(np.concatenate([fours, points], axis=1).tolist()), sorted(expected.tolist()), atol=1e-9
+    )
     assert summary["total_lateral_area"] == pytest.approx(data["lateral"].sum(), rel=0.005)
     assert summary["energy"] == pytest.approx(data["E"], rel=0.01)
     assert summary["separation"] == pytest.approx(data["min_dist"], rel=1e-4)  # 32 bits
     assert summary["covering_radius"] == pytest.approx(data["phi"], rel=0.01)
     assert set(capsys.readouterr().out.split()) >= set(summary)
+
+
+def test_the_contacts_of_a_run_are_those_of_its_backbones(annealed, tmp_path):
+    folder = tmp_path / "m"
+    run = ["measure", str(annealed / "backbones.csv"), *SIZES, "--resolution", "draft", "--out", str(folder)]
+    assert main([*run, "--graph"]) == 0
+    for name in ("contacts.csv", "transitions.csv"):
+        assert (folder / name).read_bytes() == (annealed / name).read_bytes()
+    final = json.loads((annealed / "manifest.json").read_text())["final"]
+    summary = json.loads((folder / "summary.json").read_text())
+    assert all(final[name] == summary[name] for name in (*MEANS, "inner", "open_ends"))
+    cells, contacts = read_table(folder / "cells.csv"), read_table(folder / "contacts.csv")
+    assert ",".join(contacts[0]) == "cell_a,cell_b,area,apical_length,basal_length,kind,pieces"
+    pairs = np.stack([column(contacts, "cell_a"), column(contacts, "cell_b")], axis=1).astype(int)
+    assert (pairs[:, 0] < pairs[:, 1]).all()
+    kinds = np.array([row["kind"] for row in contacts])
+    for kind in ("apical_basal", "apical", "basal", "internal"):
+        count = np.bincount(pairs[kinds == kind].ravel(), minlength=16)
+        assert column(cells, f"{kind}_neighbors").tolist() == count.tolist()
+    # a wall touches a surface just if its edge there has a length
+    assert ((column(contacts, "apical_length") > 0) == np.isin(kinds, ("apical", "apical_basal"))).all()
+    walls = np.bincount(pairs.ravel(), np.repeat(column(contacts, "area"), 2))
+    np.testing.assert_allclose(walls, column(cells, "lateral_area"), rtol=0.15)  # of the draft preset
+    graph = nx.read_graphml(folder / "graph.graphml", node_type=int)
+    assert [graph.degree[k] for k in range(16)] == column(cells, "neighbors").tolist()
+    assert [graph.nodes[k]["volume"] for k in range(16)] == column(cells, "volume").tolist()
+    transitions = read_table(folder / "transitions.csv")
+    assert ",".join(transitions[0]) == "x,y,z,cell_a,cell_b,cell_c,cell_d"
+    four = np.stack([column(transitions, f"cell_{letter}") for letter in "abcd"], axis=1).astype(int)
+    assert column(cells, "transitions").tolist() == np.bincount(four.ravel(), minlength=16).tolist()
+    assert [row["is_scutoid"] == "True" for row in cells] == (column(cells, "transitions") > 0).tolist()
+
+
+def test_small_contacts_are_left_out_and_old_tables_removed(annealed, tmp_path):
+    folder, walls = tmp_path / "m", column(read_table(annealed / "contacts.csv"), "area")
+    run = ["measure", str(annealed / "backbones.csv"), *SIZES, "--resolution", "draft", "--out", str(folder)]
+    assert main([*run, "--minimum-contact", "0.5", "--graph"]) == 0
+    kept = column(read_table(folder / "contacts.csv"), "area")
+    assert kept.tolist() == walls[walls >= 0.5 * walls.mean()].tolist() and 0 < len(kept) < len(walls)
+    assert column(read_table(folder / "cells.csv"), "neighbors").sum() == 2 * len(kept)
+    assert (folder / "transitions.csv").read_bytes() == (annealed / "transitions.csv").read_bytes()
+    assert main([*run, "--no-contacts", "--force"]) == 0
+    assert {path.name for path in folder.iterdir()} == {"cells.csv", "summary.json"}
+    assert ",".join(read_table(folder / "cells.csv")[0]) == SIZE_COLUMNS
+    assert list(json.loads((folder / "summary.json").read_text())) == SIZES_SUMMED
+
+
+def test_lost_edges_are_told(annealed, tmp_path, monkeypatch, capsys):
+    def careless(*arguments):
+        found = find_connectivity(*arguments)
+        return replace(found, transitions=replace(found.transitions, open_ends=3))
+
+    run = ["measure", str(annealed / "backbones.csv"), *SIZES, "--resolution", "draft", "--out"]
+    assert main([*run, str(tmp_path / "whole")]) == 0
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(cli, "find_connectivity", careless)
+    assert main([*run, str(tmp_path / "lost")]) == 0
+    assert "warning: 3 edges" in capsys.readouterr().err
+    assert json.loads((tmp_path / "lost" / "summary.json").read_text())["open_ends"] == 3
+
+
+def test_a_run_can_go_without_contacts(tmp_path, capsys):
+    folder = tmp_path / "run"
+    assert main([*SMALL, "--sweeps", "0", "--no-contacts", "--out", str(folder)]) == 0
+    assert not (folder / "contacts.csv").exists() and not (folder / "transitions.csv").exists()
+    assert "neighbors" not in json.loads((folder / "manifest.json").read_text())["final"]
+    assert "neighbors" not in capsys.readouterr().out
 
 
 def test_cells_at_the_ends_are_marked(annealed):
@@ -296,6 +406,8 @@ def test_a_single_cell_has_no_separation_and_no_walls(tmp_path):
     assert main([*run, "--x64", "--out", str(tmp_path / "m")]) == 0
     summary = json.loads((tmp_path / "m" / "summary.json").read_text())
     assert summary["separation"] is None and summary["total_lateral_area"] == 0
+    assert summary["neighbors"] == 0 and summary["inner"]["neighbors"] is None
+    assert len(read_table(tmp_path / "m" / "contacts.csv")) == 0
     assert summary["total_volume"] == pytest.approx(np.pi * 12 * 12, rel=1e-6)
 
 
@@ -328,6 +440,20 @@ BAD_ARGUMENTS = [
     ("anneal --out {}/o --temperature nan", "--temperature: nan"),
     ("anneal --out {}/o --modulus -0.5", "--modulus: -0.5"),
     ("anneal --out {}/o --tension inf", "--tension: inf"),
+    ("anneal --out {}/o --minimum-contact -1", "--minimum-contact: -1"),
+    ("anneal --out {}/o --minimum-contact 0.1 --no-contacts", "--minimum-contact needs contacts"),
+    (
+        "measure {}/good.csv --length 12 --apical-radius 2 --basal-radius 4 --out {}/o --minimum-contact nan",
+        "--minimum-contact: nan",
+    ),
+    (
+        "measure {}/good.csv --length 12 --apical-radius 2 --basal-radius 4 --out {}/o --minimum-contact 1%",
+        "'1%'",
+    ),
+    (
+        "measure {}/good.csv --length 12 --apical-radius 2 --basal-radius 4 --out {}/o --graph --no-contacts",
+        "--graph needs contacts",
+    ),
     ("anneal --out {}/o --sweeps -3", "--sweeps: -3"),
     ("anneal --out {}/o --sweeps 1.5", "--sweeps: invalid integer value: '1.5'"),
     ("anneal --out {}/o --cells 0", "--cells: 0"),

@@ -8,14 +8,19 @@ import pytest
 import jaxtissue
 
 TISSUE = ["backbones", "tube", "sampling", "lines", "voronoi", "spread", "cells", "candidates", "exact"]
-CONTACTS = ["leads", "fronts", "edges", "contacts", "transitions"]
+CONTACTS = ["leads", "fronts", "edges", "contacts", "transitions", "statistics", "laws"]
 MOVES = ["energy", "coloring", "metropolis", "anneal"]
+REPRODUCTION = ["tissues", "experiments", "timings", "published", "figures", "ratio_figures", "shapes"]
+REPRODUCTION += ["pictures", "tube_pictures", "claims", "run_claims", "ratio_claims", "items", "report"]
+REPRODUCTION += ["reproduce"]
 PEOPLE = [
     "io",
     "plot",
     "settings",
+    "stopping",
     "tables",
     "runs",
+    *REPRODUCTION,
     "arguments",
     "cli",
 ]  # may `import jaxtissue` as users do

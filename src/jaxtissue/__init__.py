@@ -23,6 +23,7 @@ from jaxtissue.contacts import Contacts, find_contacts
 from jaxtissue.edges import trace_edges
 from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
 from jaxtissue.exact import ExactDiagram, exact_cells
+from jaxtissue.laws import NeighborLaw, bound_ratios, fit_neighbor_law
 from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines, resolution_named
 from jaxtissue.metropolis import SweepInfo, TissueState, sweep, tissue_state
 from jaxtissue.sampling import cartesian_voxels, cylindrical_voxels
@@ -33,7 +34,15 @@ from jaxtissue.spread import (
     tightness,
     tube_neighbor_bound,
 )
-from jaxtissue.transitions import Transitions, find_forms, find_transitions
+from jaxtissue.statistics import (
+    Connectivity,
+    find_connectivity,
+    polygon_classes,
+    summarize_connectivity,
+    tabulate_connectivity,
+    tissue_graph,
+)
+from jaxtissue.transitions import CellForms, Transitions, find_forms, find_transitions
 from jaxtissue.tube import Tube, cells_for_unit_volume
 from jaxtissue.voronoi import label_image, label_volumes, nearest_backbones
 
@@ -42,17 +51,21 @@ __all__ = [
     "AnnealState",
     "Annealer",
     "Backbones",
+    "CellForms",
     "CellGeometry",
+    "Connectivity",
     "Contacts",
     "ExactDiagram",
     "Lines",
     "Model",
+    "NeighborLaw",
     "Resolution",
     "SweepInfo",
     "SweepRecord",
     "TissueState",
     "Transitions",
     "Tube",
+    "bound_ratios",
     "cartesian_voxels",
     "cells_for_unit_volume",
     "constant_schedule",
@@ -63,9 +76,11 @@ __all__ = [
     "epithelial_energy",
     "exact_cells",
     "find_candidates",
+    "find_connectivity",
     "find_contacts",
     "find_forms",
     "find_transitions",
+    "fit_neighbor_law",
     "geometric_schedule",
     "has_stalled",
     "label_image",
@@ -76,12 +91,16 @@ __all__ = [
     "nearest_backbones",
     "neighbor_bound",
     "plan_lines",
+    "polygon_classes",
     "resolution_named",
     "separation",
     "sided",
+    "summarize_connectivity",
     "sweep",
+    "tabulate_connectivity",
     "tightness",
     "tiling_defect",
+    "tissue_graph",
     "tissue_state",
     "trace_edges",
     "tube_model",

@@ -43,6 +43,7 @@ WINDOW = (
 ROUNDS = 42  # sets that the cells are spread over at least: coloring 3 hops takes 33 to 46
 CAPACITY = 64  # rounds are padded to a multiple of it
 SPARSE = Resolution(4, 2)  # lines on which it is seen how clear of a cell its candidates are
+PROGRAMS: dict[Any, Callable] = {}  # compiled, for all runs alike in shapes
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
 
 
@@ -189,7 +190,6 @@ class Annealer:
         self.seed, self.temperatures = seed, temperatures
         self._exactness = EXACT * float(jnp.finfo(dtype).eps) * float(self.model.mean_volume)
         self.compile_seconds = 0.0
-        self._compiled: dict[Any, Callable] = {}
         self._last: tuple[AnnealState, Measured] | None = None
         self._around = 48
 
@@ -348,11 +348,11 @@ class Annealer:
         arguments = jax.tree.map(jnp.asarray, arguments)
         leaves, structure = jax.tree.flatten(arguments)
         known = (function, structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves))
-        if known not in self._compiled:
+        if known not in PROGRAMS:
             begin = time.perf_counter()
-            self._compiled[known] = jax.jit(function).lower(*arguments).compile()
+            PROGRAMS[known] = jax.jit(function).lower(*arguments).compile()
             self.compile_seconds += time.perf_counter() - begin
-        return jax.block_until_ready(self._compiled[known](*arguments))
+        return jax.block_until_ready(PROGRAMS[known](*arguments))
 
     def _energies(self, volume: np.ndarray, lateral_area: np.ndarray) -> np.ndarray:
         """The energy, and the paper's two terms of it, of each sweep, summed in double precision, [3, sweeps]."""

@@ -14,6 +14,7 @@ _HELP = {
     "anneal": "anneal a tissue into a folder, or take up a run there",
     "measure": "measure the cells of given backbones",
     "compare": "show the errors of each preset against the exact path",
+    "reproduce": "make the paper's table and figures, and a report that sets its numbers beside ours",
     "info": "show versions, devices, precision and the optional packages found",
 }
 
@@ -42,6 +43,7 @@ def command_parser() -> argparse.ArgumentParser:
             command.add_argument(_option(size), type=_number(0, above=True), required=True, metavar="X")
         _add_folder(command, required=name == "measure")
     _add_measure(options["measure"])
+    _add_reproduce(options["reproduce"])
     options["compare"].add_argument(
         "--samples", type=_count(2, 10_000), default=50, metavar="S", help="points per backbone (default: 50)"
     )
@@ -67,6 +69,7 @@ def _add_anneal(command: argparse.ArgumentParser) -> None:
     }
     for name, (kind, metavar, text) in kinds.items():
         _add(command, name, text, getattr(Settings, name), type=kind, metavar=metavar)
+    _add_contacts(command, argparse.SUPPRESS, argparse.SUPPRESS)
     _add(command, "algorithm", "rounds of independent moves, or one move at a time", Settings.algorithm,
          choices=("is-mh", "mh"))  # fmt: skip
     start = command.add_mutually_exclusive_group()
@@ -82,6 +85,29 @@ def _add_measure(command: argparse.ArgumentParser) -> None:
         default = getattr(Settings, name)
         text = f"in the energy (default: {default})"
         command.add_argument(_option(name), type=size, default=default, metavar=metavar, help=text)
+    _add_contacts(command, Settings.minimum_contact, Settings.no_contacts)
+    command.add_argument("--graph", action="store_true", help="write the contact graph too, as graph.graphml")
+
+
+def _add_contacts(command: argparse.ArgumentParser, minimum: Any, without: Any) -> None:
+    text = f"leave out walls below F mean walls (default: {Settings.minimum_contact:g})"
+    command.add_argument("--minimum-contact", type=_number(0), default=minimum, metavar="F", help=text)
+    text = "sizes only: trace no contacts and transition points"
+    command.add_argument("--no-contacts", action="store_true", default=without, help=text)
+
+
+def _add_reproduce(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "items", nargs="*", metavar="ITEM", help="table1, fig5, fig7 ... fig16 (default: all)"
+    )
+    command.add_argument("--quick", action="store_true", help="a small version of everything, in minutes")
+    command.add_argument(
+        "--seeds", type=_count(2, 1000), metavar="N", help="runs per mean (default: 10, quick: 2)"
+    )
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder to make or to go on with"
+    )
+    command.add_argument("--force", action="store_true", help="make anew what is there already")
 
 
 def _add(command: Any, name: str, text: str, default: Any, **options: Any) -> None:

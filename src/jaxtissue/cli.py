@@ -1,4 +1,4 @@
-"""The command line: anneal, measure, compare, info. Results go to stdout, progress and errors to stderr."""
+"""The command line. Results go to stdout, progress and errors to stderr."""
 
 import sys
 import time
@@ -14,9 +14,18 @@ from jaxtissue import io
 from jaxtissue.arguments import TUBE_SIZES, command_parser
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import resolution_named
+from jaxtissue.reproduce import choose_items, make_plan, reproduce
 from jaxtissue.runs import resume_annealing, run_annealing
 from jaxtissue.settings import Settings, provenance, saved_settings, versions
-from jaxtissue.tables import compare_presets, tabulate_cells
+from jaxtissue.statistics import find_connectivity
+from jaxtissue.tables import (
+    CONTACT_TABLES,
+    compare_presets,
+    contact_summary,
+    contact_warning,
+    tabulate_cells,
+    write_contacts,
+)
 from jaxtissue.tube import Tube
 
 EXTRAS = ("tifffile", "skimage", "pyevtk", "pandas", "pyvista", "trimesh")
@@ -26,7 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 2 bad input, 128 + signal stopped, 1 other."""
     try:
         arguments = vars(command_parser().parse_args(argv))
-        work = {"anneal": anneal, "measure": measure, "compare": compare, "info": info}
+        work = {"anneal": anneal, "measure": measure, "compare": compare}
+        work |= {"reproduce": reproduce_paper, "info": info}
         return work[arguments.pop("command")](arguments)
     except ValueError as error:
         return _fail(error, 2)
@@ -44,6 +54,7 @@ def anneal(arguments: dict[str, Any]) -> int:
         _use_x64(settings.x64)
         backbones = arguments.get("backbones")
         return resume_annealing(folder, settings, Path(backbones) if backbones else None)
+    _refuse_both(arguments, "minimum_contact")
     settings = Settings(**arguments)
     if settings.final_temperature is not None and not settings.temperature > 0:
         raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
@@ -52,20 +63,32 @@ def anneal(arguments: dict[str, Any]) -> int:
 
 
 def measure(arguments: dict[str, Any]) -> int:
-    """Measure the cells of given backbones."""
+    """Measure the cells of given backbones, and trace who touches whom."""
     folder = arguments["out"]
+    _refuse_both(arguments, "minimum_contact", "graph")
     io.check_folder(folder, arguments["force"])
     tube, backbones = _read(arguments)
-    model = tube_model(tube, len(backbones.positions), arguments["modulus"], arguments["tension"])
+    place, connectivity, tracing = backbones.positions, None, 0.0
+    if not arguments["no_contacts"]:
+        _say(f"tracing the contacts of {len(place)} cells")
+        begun = time.perf_counter()
+        connectivity = find_connectivity(place, tube, arguments["minimum_contact"])
+        tracing = time.perf_counter() - begun
+    _say(f"measuring {len(place)} cells")
+    model = tube_model(tube, len(place), arguments["modulus"], arguments["tension"])
     begun = time.perf_counter()
     resolution = resolution_named(arguments["resolution"])
-    columns, summary = tabulate_cells(backbones.positions, model, resolution, backbones.names)
+    columns, summary = tabulate_cells(place, model, resolution, backbones.names, connectivity)
     summary["seconds"] = time.perf_counter() - begun
-    io.make_folder(folder)
+    io.make_folder(folder, CONTACT_TABLES)
     io.write_table(folder / "cells.csv", columns)
+    if connectivity is not None:
+        write_contacts(folder, connectivity, columns if arguments["graph"] else None)
+        summary |= contact_summary(connectivity) | {"contact_seconds": tracing}
+        if warning := contact_warning(connectivity):
+            print("jaxtissue: warning:", warning, file=sys.stderr)
     io.write_json(folder / "summary.json", summary)
-    for name, value in summary.items():
-        print(f"{name:20}{value:.6g}")
+    _print_summary(summary)
     return 0
 
 
@@ -89,6 +112,18 @@ def compare(arguments: dict[str, Any]) -> int:
     return 0
 
 
+def reproduce_paper(arguments: dict[str, Any]) -> int:
+    """Make the paper's table and figures, and a report that sets its numbers beside ours."""
+    items = choose_items(arguments["items"])
+    _use_x64(arguments["x64"])
+    plan = make_plan(arguments["quick"], arguments["seeds"])
+    manifest = reproduce(arguments["out"], items, plan, arguments["force"])
+    for item in items:
+        print(f"{item:8}{manifest['items'][item]['seconds']:10.1f} s")
+    print(f"written to {arguments['out'] / 'report.md'}")
+    return 0
+
+
 def info(arguments: dict[str, Any]) -> int:
     """Show versions, devices, precision and the optional packages found."""
     _use_x64(arguments["x64"])
@@ -100,6 +135,26 @@ def info(arguments: dict[str, Any]) -> int:
     return 0
 
 
+def _print_summary(summary: dict[str, Any]) -> None:
+    """A line for each value; those of the inner cells beside those of all."""
+    inner = summary.get("inner", {})
+    for name, value in summary.items():
+        if name == "inner":
+            continue
+        if name == "cells":
+            print(f"\n{'':24}{'all':>12}{'inner':>12}")
+        beside = f"{value:12.6g}{inner[name]:12.6g}" if name in inner else f"{value:.6g}"
+        print(f"{name:24}{beside}")
+
+
+def _refuse_both(arguments: dict[str, Any], *names: str) -> None:
+    """Raise `ValueError` for an option that asks for contacts beside --no-contacts."""
+    for name in names:
+        if arguments.get("no_contacts") and arguments.get(name):
+            option = "--" + name.replace("_", "-")
+            raise ValueError(f"{option} needs contacts; leave it or --no-contacts out")
+
+
 def _read(arguments: dict[str, Any]) -> tuple[Tube, io.BackboneTable]:
     tube = Tube(*(arguments[name] for name in TUBE_SIZES))
     _use_x64(arguments["x64"])
@@ -109,6 +164,12 @@ def _read(arguments: dict[str, Any]) -> tuple[Tube, io.BackboneTable]:
 def _use_x64(x64: bool) -> None:
     if x64:
         jax.config.update("jax_enable_x64", True)
+
+
+def _say(text: str) -> None:
+    """What takes the time, for who is watching."""
+    if sys.stderr.isatty():
+        print(text, file=sys.stderr)
 
 
 def _fail(message: object, code: int) -> int:

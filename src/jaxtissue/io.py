@@ -215,8 +215,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     try:
         with np.load(path, allow_pickle=False) as file:
             data = dict(file)
-        circle, half = (tuple(data[name].tolist()) for name in ("circle", "half"))
-        state = AnnealState(int(data["sweep"]), data["positions"], data["neighbors"], circle, half)
+        state = AnnealState(int(data["sweep"]), data["positions"])
         return Checkpoint(state, data["kept_sweeps"], data["kept_positions"])
     except FileNotFoundError as error:
         raise ValueError(f"{path.parent} has no checkpoint to resume; leave --resume out") from error

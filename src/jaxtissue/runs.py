@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import sys
 import time
 from dataclasses import asdict, dataclass, replace
@@ -17,38 +16,20 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from jaxtissue import io
-from jaxtissue.anneal import Annealer, AnnealState, has_stalled
+from jaxtissue.anneal import SPAN, Annealer, AnnealState, has_stalled
 from jaxtissue.candidates import measure_tissue
 from jaxtissue.lines import PRESETS, resolution_named
 from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes
 from jaxtissue.settings import Settings, now, provenance
-from jaxtissue.tables import tabulate_cells
+from jaxtissue.statistics import find_connectivity
+from jaxtissue.stopping import Stop
+from jaxtissue.tables import CONTACT_TABLES, contact_summary, contact_warning, tabulate_cells, write_contacts
 
 FIGURES = ("energy.png", "volumes.png", "surfaces.png")
 TABLES = ("initial_backbones.csv", "backbones.csv", "cells.csv", "sweeps.csv")
-FILES = ("checkpoint.npz", "manifest.json", *TABLES, *FIGURES)
+FILES = ("checkpoint.npz", "manifest.json", *TABLES, *CONTACT_TABLES, *FIGURES)
 KEPT_SWEEPS = (0, 1, 5, 25, 50, 100, 250, 500, 1000, 2500, 5000, 10_000)  # drawn in the figures
 CHECKPOINT_SECONDS = 2.0  # with sweeps shorter than this no more than 4 s are ever lost
-
-
-class Stop:
-    """Notes SIGTERM and Ctrl-C, so that a sweep can be finished first; a second one ends at once."""
-
-    def __init__(self) -> None:
-        self.signal: signal.Signals | None = None
-
-    def __enter__(self) -> "Stop":
-        noted = (signal.SIGINT, signal.SIGTERM)
-        self._usual = {number: signal.signal(number, self._note) for number in noted}
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._usual.items():
-            signal.signal(number, handler)
-
-    def _note(self, number: int, _: object) -> None:
-        self.signal = signal.Signals(number)
-        self.__exit__()
 
 
 @dataclass
@@ -64,7 +45,13 @@ class Run:
     manifest: dict[str, Any]
 
     def save(self) -> None:
-        """Write the checkpoint; the rows of sweeps.csv up to it must be on the disk before."""
+        """Write the checkpoint; the rows of sweeps.csv up to it must be on the disk before.
+
+        Only between spans of sweeps, where a longer run would be too: the odd sweeps at a run's end are played
+        again if it goes on.
+        """
+        if self.state.sweep % SPAN:
+            return
         kept = np.array(list(self.kept)), np.stack(list(self.kept.values()))
         io.save_checkpoint(self.folder / "checkpoint.npz", io.Checkpoint(self.state, *kept))
 
@@ -165,22 +152,24 @@ def _sweep(run: Run, stop: Stop) -> bool:
     with path.open("a", encoding="utf-8", newline="") as table, bar:
         compiling, saved = True, time.monotonic()
         while not (ended() or stop.signal):
-            run.state, record = run.annealer.advance(run.state)
-            io.write_sweep(table, record)
-            energies.append(record.energy)
-            if record.sweep in KEPT_SWEEPS:
-                run.kept[record.sweep] = run.state.positions
+            last_chunk = settings.sweeps - run.state.sweep <= SPAN
+            if time.monotonic() - saved > CHECKPOINT_SECONDS or last_chunk:
+                os.fsync(table.fileno())
+                run.save()
+                saved = time.monotonic()
+            run.state, records, trail = run.annealer.advance(run.state)
+            for record, positions in zip(records, trail, strict=True):
+                io.write_sweep(table, record)
+                energies.append(record.energy)
+                if record.sweep in KEPT_SWEEPS:
+                    run.kept[record.sweep] = positions
             if compiling:
                 compiling = False
                 _say(f"compiled in {run.annealer.compile_seconds:.1f} s; annealing")
                 bar.set_description("annealing", refresh=False)
-            bar.update()
-            shown = {"energy": f"{record.energy:.4g}", "acceptance": f"{record.acceptance:.2f}"}
-            bar.set_postfix(shown | {"rounds": record.rounds})
-            if time.monotonic() - saved > CHECKPOINT_SECONDS:
-                os.fsync(table.fileno())
-                run.save()
-                saved = time.monotonic()
+            bar.update(len(records))
+            shown = {"energy": f"{records[-1].energy:.4g}", "acceptance": f"{records[-1].acceptance:.2f}"}
+            bar.set_postfix(shown | {"rounds": records[-1].rounds})
         os.fsync(table.fileno())
         run.save()
     return ended()
@@ -188,12 +177,20 @@ def _sweep(run: Run, stop: Stop) -> bool:
 
 def _finish(run: Run) -> None:
     """Write what a finished run leaves: tables, figures, the manifest; print the result."""
-    _say("measuring and drawing")
+    _say("measuring and drawing" if run.settings.no_contacts else "measuring, tracing contacts, drawing")
     model, settings = run.annealer.model, run.settings
     resolution = resolution_named(settings.resolution)
-    columns, summary = tabulate_cells(run.state.positions, model, resolution, run.names)
-    io.write_backbones(run.folder / "backbones.csv", run.state.positions, run.names)
+    connectivity, place = None, run.state.positions
+    if not settings.no_contacts:
+        connectivity = find_connectivity(place, settings.tube, settings.minimum_contact)
+    columns, summary = tabulate_cells(place, model, resolution, run.names, connectivity)
+    io.write_backbones(run.folder / "backbones.csv", place, run.names)
     io.write_table(run.folder / "cells.csv", columns)
+    if connectivity is not None:
+        write_contacts(run.folder, connectivity)
+        summary |= contact_summary(connectivity)
+        if warning := contact_warning(connectivity):
+            _say(f"warning: {warning}")
     shown = run.kept | {run.state.sweep: run.state.positions}
     fine = [measure_tissue(jnp.asarray(at), model.tube, PRESETS["fine"])[0] for at in shown.values()]
     fine_energy = [float(model.cell_energy(cells, model).sum()) for cells in fine]
@@ -234,8 +231,10 @@ def _print_result(run: Run) -> None:
         first, last = energy["initial" + ending], energy["final" + ending]
         share = f" ({100 * last / first:.3g} %)" if first > 0 else ""
         print(f"{f'energy, {label}':17}{first:.6g} -> {last:.6g}{share}")
-    for name in ("separation", "covering_radius", "tightness"):
-        print(f"{name:17}{final[name]:.6g}")
+    shown = ("separation", "covering_radius", "tightness", "neighbors", "transitions", "scutoid_fraction")
+    for name in shown:
+        if name in final:
+            print(f"{name:17}{final[name]:.6g}")
     print(f"written to       {run.folder}")
 
 

@@ -26,7 +26,8 @@ class Settings:
 
     `backbones` is a CSV file to start from, else `cells` random ones are made from `seed`. A
     `final_temperature` makes the cooling geometric. The run ends early when the energy has not fallen
-    for `patience` sweeps (0: never).
+    for `patience` sweeps (0: never). Walls below `minimum_contact`, a fraction of the mean wall, are no
+    contacts.
     """
 
     length: float = 100.0
@@ -43,6 +44,8 @@ class Settings:
     algorithm: str = "is-mh"
     resolution: str = "draft"
     patience: int = 0
+    minimum_contact: float = 0.0
+    no_contacts: bool = False
     x64: bool = False
 
     @property

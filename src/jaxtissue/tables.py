@@ -2,23 +2,28 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import networkx as nx
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from jaxtissue import io
 from jaxtissue.candidates import measure_tissue
 from jaxtissue.energy import Model
 from jaxtissue.exact import exact_cells
 from jaxtissue.lines import PRESETS, Resolution
 from jaxtissue.spread import covering_radius, separation
+from jaxtissue.statistics import Connectivity, summarize_connectivity, tabulate_connectivity, tissue_graph
 from jaxtissue.tube import Tube
 
 Result = TypeVar("Result")
 _SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimeter", "basal_perimeter")
+CONTACT_TABLES = ("contacts.csv", "transitions.csv", "graph.graphml")
 
 
 def tabulate_cells(
@@ -26,11 +31,13 @@ def tabulate_cells(
     model: Model,
     resolution: Resolution,
     names: Sequence[str] | None = None,
+    connectivity: Connectivity | None = None,
 ) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """One row per cell, and the figures of the whole tissue; lengths, areas, volumes in units of the tube's.
 
     The summary's separation of a single cell is infinite; its `overflow` is the relative error of an exact
-    tiling sum, 0 where every cell lies within the lines it was measured on.
+    tiling sum, 0 where every cell lies within the lines it was measured on. Connectivity adds its columns
+    and the exact `is_end`; without it, that is what the lines see.
     """
     axial, angle = np.asarray(positions).T
     positions = model.tube.reflect(jnp.asarray(positions))
@@ -39,6 +46,8 @@ def tabulate_cells(
     columns = {"cell": np.arange(len(axial)), "axial": axial, "angle": angle}
     columns |= {name: np.asarray(getattr(cells, name)) for name in _SIZES}
     columns |= {"energy": energy, "is_end": np.asarray(cells.touches_end)}
+    if connectivity is not None:
+        columns |= {"is_end": connectivity.is_end} | tabulate_connectivity(connectivity)
     columns |= {"name": np.array(names)} if names else {}
     apart, covering = float(separation(positions, model.tube)), float(covering_radius(positions, model.tube))
     summary = {
@@ -51,6 +60,41 @@ def tabulate_cells(
         "overflow": float(overflow),
     }
     return columns, summary
+
+
+def contact_summary(connectivity: Connectivity) -> dict[str, Any]:
+    """The means over all cells and, under `inner`, over those that touch no end, with the numbers of cells.
+
+    `open_ends` counts edges of the diagram that could not be followed: 0 unless the tissue is degenerate.
+    """
+    everywhere, inner = (summarize_connectivity(connectivity, only) for only in (False, True))
+    summary = {"cells": len(connectivity.is_end)} | everywhere
+    summary |= {"inner": {"cells": int((~connectivity.is_end).sum())} | inner}
+    return summary | {"open_ends": connectivity.transitions.open_ends}
+
+
+def contact_warning(connectivity: Connectivity) -> str:
+    """What a user should know before trusting the contacts; empty where nothing is amiss."""
+    lost = connectivity.transitions.open_ends
+    remedy = "contacts and transitions may be missing; move coincident backbones apart"
+    return f"{lost} edges of the diagram could not be followed; {remedy}" if lost else ""
+
+
+def write_contacts(
+    folder: Path, connectivity: Connectivity, columns: Mapping[str, np.ndarray] | None = None
+) -> None:
+    """Write contacts.csv and transitions.csv; with the columns of the cells also graph.graphml."""
+    contacts, transitions = connectivity.contacts, connectivity.transitions
+    first, second = contacts.pairs.T
+    names = ("area", "apical_length", "basal_length", "kind", "pieces")
+    table = {"cell_a": first, "cell_b": second} | {name: getattr(contacts, name) for name in names}
+    io.write_table(folder / "contacts.csv", table)
+    points = dict(zip("xyz", transitions.points.T, strict=True))
+    cells = zip(("cell_a", "cell_b", "cell_c", "cell_d"), transitions.cells.T, strict=True)
+    io.write_table(folder / "transitions.csv", points | dict(cells))
+    if columns is not None:
+        with io.replacing(folder / "graph.graphml", "wb") as file:
+            nx.write_graphml(tissue_graph(connectivity, columns), file)
 
 
 def compare_presets(

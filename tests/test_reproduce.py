@@ -1,0 +1,167 @@
+"""The paper's evaluation from one command: what is there is not made again, what is wrong is said."""
+
+import json
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from jaxtissue import experiments, reproduce
+from jaxtissue.cli import main
+from jaxtissue.experiments import QUICK, Plan, Store, measure_runs, measure_volumes
+from jaxtissue.items import ITEMS, Product
+from jaxtissue.sampling import cylindrical_voxels
+from jaxtissue.tissues import Annealing, History, anneal_histories, random_tissue, relax_lloyd
+from jaxtissue.tube import Tube
+from jaxtissue.voronoi import label_volumes, nearest_backbones
+
+TINY = replace(QUICK, cells=12, length=6.0, sweeps=2, kept=(1, 2))
+
+
+def made_up(annealing, seeds):
+    """Histories without annealing."""
+    sweeps = annealing.sweeps + 1
+    records = {name: np.arange(sweeps, dtype=float) for name in ("sweep", "energy", "rounds", "seconds")}
+    place = [np.asarray(random_tissue(annealing.tube, annealing.cells, seed)) for seed in seeds]
+    return [History(records, np.tile(one, (sweeps, 1, 1))) for one in place]
+
+
+@pytest.fixture
+def store(tmp_path):
+    return Store(tmp_path / "data", lambda _: None)
+
+
+def test_an_unknown_item_is_named_with_those_that_exist(tmp_path, capsys):
+    assert main(["reproduce", "fig5", "fig6", "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "'fig6'" in error and all(item in error for item in ITEMS)
+    assert not (tmp_path / "out").exists()
+
+
+def test_items_come_in_the_papers_order():
+    assert reproduce.choose_items([]) == reproduce.choose_items(["all"]) == list(ITEMS)
+    assert reproduce.choose_items(["fig16", "table1"]) == ["table1", "fig16"]
+    assert reproduce.make_plan(True, None) == QUICK and reproduce.make_plan(False, 3) == Plan(seeds=3)
+
+
+def test_a_quick_item_from_the_command_line(tmp_path, capsys):
+    folder = tmp_path / "out"
+    arguments = ["reproduce", "fig7", "--quick", "--out", str(folder)]
+    assert main(arguments) == 0
+    said = capsys.readouterr()
+    assert "report.md" in said.out and "fig7 done" in said.err
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"fig7.csv", "fig7.png", "manifest.json", "report.md", "report.csv"}
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["plan"]["quick"] is True and manifest["items"]["fig7"]["versions"]["jax"]
+    assert len(reproduce.read_table(folder / "fig7.csv")["axial"]) == 1000
+    before = (folder / "fig7.png").stat().st_mtime_ns
+    assert main(arguments) == 0 and (folder / "fig7.png").stat().st_mtime_ns == before
+    assert "there already" in capsys.readouterr().err
+    assert main([*arguments, "--seeds", "3"]) == 2 and "--quick run with 2 seeds" in capsys.readouterr().err
+    (folder / "fig7.csv").unlink()
+    assert main(arguments) == 0 and (folder / "fig7.csv").exists()
+    assert main([*arguments, "--force"]) == 0 and "fig7 done" in capsys.readouterr().err
+
+
+def test_a_folder_with_other_files_is_left_alone(tmp_path, capsys):
+    (tmp_path / "thesis.txt").write_text("mine")
+    assert main(["reproduce", "fig7", "--quick", "--out", str(tmp_path)]) == 2
+    assert "other files" in capsys.readouterr().err and len(list(tmp_path.iterdir())) == 1
+    (tmp_path / "manifest.json").write_text("[]")
+    assert main(["reproduce", "fig7", "--quick", "--out", str(tmp_path)]) == 2
+
+
+def test_what_was_finished_before_a_stop_is_kept(tmp_path, monkeypatch):
+    calls = []
+
+    def stopped(plan, store):
+        """Two."""
+        calls.append("stopped")
+        raise KeyboardInterrupt
+
+    def made(plan, store):
+        """One."""
+        calls.append("made")
+        return Product({"": {"x": np.zeros(2)}}, Figure())
+
+    monkeypatch.setattr(reproduce, "ITEMS", {"fig7": made, "fig8": stopped})
+    with pytest.raises(KeyboardInterrupt):
+        reproduce.reproduce(tmp_path / "out", ["fig7", "fig8"], QUICK)
+    with pytest.raises(KeyboardInterrupt):
+        reproduce.reproduce(tmp_path / "out", ["fig7", "fig8"], QUICK)
+    assert calls == ["made", "stopped", "stopped"] and "Fig. 7" in (tmp_path / "out/report.md").read_text()
+
+
+def test_rows_are_computed_once_unless_all_is_to_be_fresh(store):
+    count = iter(range(9))
+    compute = lambda: {"value": next(count), "nothing": float("nan")}  # noqa: E731
+    assert store.row("one", compute) == store.row("one", compute) == {"value": 0, "nothing": None}
+    fresh = Store(store.folder, store.say, fresh=True)
+    assert fresh.row("one", compute)["value"] == fresh.row("one", compute)["value"] == 1
+    assert np.isnan(experiments.tabulate([store.row("one", compute)])["nothing"][0])
+
+
+def test_only_missing_seeds_are_annealed(store, monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        experiments, "anneal_histories", lambda a, seeds: asked.append(list(seeds)) or made_up(a, seeds)
+    )
+    annealing = TINY.annealing(5.0)
+    first = store.histories(annealing, [0, 2])
+    both = store.histories(annealing, range(3))
+    assert asked == [[0, 2], [1]] and np.array_equal(first[1].positions, both[2].positions)
+    path = next(store.folder.glob("*.npz"))
+    path.write_bytes(b"not one")
+    with pytest.raises(ValueError, match="damaged"):
+        store.histories(annealing, range(3))
+
+
+def test_names_of_histories_tell_apart_all_that_differs():
+    tube = Tube(6, 2, 10)
+    kinds = [
+        Annealing(tube, 12, 2),
+        Annealing(tube, 13, 2),
+        Annealing(tube, 12, 3),
+        Annealing(Tube(6, 1, 10), 12, 2),
+    ]
+    kinds += [Annealing(tube, 12, 2, "mh"), Annealing(tube, 12, 2, "is-mh", "2-hop")]
+    assert len({kind.name for kind in kinds}) == len(kinds)
+
+
+def test_tables_of_runs_and_volumes(store, monkeypatch):
+    monkeypatch.setattr(experiments, "anneal_histories", made_up)
+    runs = measure_runs(TINY, store)
+    assert len(runs["sweep"]) == 2 * 2 * 2 * 3 and list(runs["rounds_so_far"][:3]) == [0, 1, 3]
+    own = runs["algorithm"] == "is-mh"
+    assert np.isfinite(runs["tightness"][own]).all() and np.isnan(runs["tightness"][~own]).all()
+    volumes = measure_volumes(TINY, store)
+    first = volumes["volume"][:12]
+    assert (np.diff(first) >= 0).all() and first.sum() == pytest.approx(float(TINY.tube(10).volume), rel=2e-3)
+
+
+def test_histories_start_from_the_random_tissue_of_their_seed():
+    annealing = Annealing(Tube(10, 3, 6), 12, 1)
+    history = anneal_histories(annealing, [5])[0]
+    assert history.positions.shape == (2, 12, 2) and list(history.records["sweep"]) == [0, 1]
+    start = np.asarray(random_tissue(annealing.tube, 12, 5))
+    assert np.array_equal(history.positions[0], start) and not np.array_equal(history.positions[1], start)
+
+
+def test_lloyd_makes_volumes_alike_however_the_tube_is_turned():
+    tube, turn = Tube(12, 3, 8), np.array([0.0, 2.0])
+    points, weights = cylindrical_voxels(tube, (48, 4, 100))
+
+    def spread(positions):
+        labels, _ = nearest_backbones(points, tube.embed(jnp.asarray(positions)))
+        return np.asarray(label_volumes(labels[:, 0], weights, 40)).std()
+
+    start = np.asarray(random_tissue(tube, 40, 1))
+    relaxed = [relax_lloyd(start, tube, iterations) for iterations in (0, 2, 15)]
+    spreads = [spread(place) for place in relaxed]
+    assert spreads[2] < 0.6 * spreads[1] < 0.6 * spreads[0]
+    turned = relax_lloyd(start + turn, tube, 2) - turn - relaxed[1]
+    turned[:, 1] = (turned[:, 1] + np.pi) % (2 * np.pi) - np.pi
+    assert np.abs(turned).max() < 0.25  # voxels are not turned along; they are 0.26 wide
