@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from jaxtissue import published
-from jaxtissue.claims import MET, NOT_COMPARABLE, NOT_MET, Claims
-from jaxtissue.experiments import QUICK, THRESHOLDS, Plan
 from jaxtissue.laws import NeighborLaw
-from jaxtissue.report import JUDGES, judge_items, title, write_report
+from jaxtissue.reproduction import published
+from jaxtissue.reproduction.claims import MET, NOT_COMPARABLE, NOT_MET, Claims
+from jaxtissue.reproduction.experiments import QUICK, THRESHOLDS, Plan
+from jaxtissue.reproduction.report import JUDGES, judge_items, title, write_report
 from jaxtissue.statistics import KIND_ORDER
 
 FULL = Plan(seeds=3)

@@ -20,13 +20,19 @@ PEOPLE = [
     "stopping",
     "tables",
     "runs",
-    *REPRODUCTION,
+    *(f"reproduction.{name}" for name in REPRODUCTION),
     "arguments",
     "cli",
 ]  # may `import jaxtissue` as users do
 ORDER = TISSUE + CONTACTS + MOVES + PEOPLE
 EXTRAS = {"tifffile", "skimage", "pyevtk", "pandas", "pyvista", "trimesh"}
-MODULES = sorted(p for p in Path(jaxtissue.__file__).parent.glob("*.py") if not p.stem.startswith("__"))
+FOLDER = Path(jaxtissue.__file__).parent
+MODULES = sorted(path for path in FOLDER.rglob("*.py") if not path.stem.startswith("__"))
+
+
+def name_of(path: Path) -> str:
+    """The name of a module within the package."""
+    return ".".join(path.relative_to(FOLDER).with_suffix("").parts)
 
 
 def imported(node: ast.AST) -> list[str]:
@@ -39,21 +45,27 @@ def imported(node: ast.AST) -> list[str]:
     return []
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.stem)
+def module_in(name: str) -> str | None:
+    """The module of the order that a full name is or lies in; none where it is the package itself."""
+    parts = name.split(".")[1:]
+    return next((module for k in (2, 1) if (module := ".".join(parts[:k])) in ORDER), None)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
 def test_imports_come_from_modules_above(path):
-    tree = ast.parse(path.read_text())
-    for parts in (name.split(".") for node in ast.walk(tree) for name in imported(node)):
-        if parts[0] != "jaxtissue":
+    tree, own = ast.parse(path.read_text()), name_of(path)
+    for name in (name for node in ast.walk(tree) for name in imported(node)):
+        if name.split(".")[0] != "jaxtissue":
             continue
-        if len(parts) > 1 and parts[1] in ORDER:
-            assert ORDER.index(parts[1]) < ORDER.index(path.stem), f"{path.stem} imports {parts[1]}"
+        if module := module_in(name):
+            assert ORDER.index(module) < ORDER.index(own), f"{own} imports {module}"
         else:
-            assert path.stem in PEOPLE, f"{path.stem} imports the package itself"
+            assert own in PEOPLE, f"{own} imports the package itself"
     for function in ast.walk(tree):
         if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
             local = {name.split(".")[0] for node in ast.walk(function) for name in imported(node)}
-            assert local <= EXTRAS, f"{path.stem}.{function.name} imports {local - EXTRAS} within"
+            assert local <= EXTRAS, f"{own}.{function.name} imports {local - EXTRAS} within"
 
 
 def test_every_module_has_a_place_in_the_order():
-    assert {path.stem for path in MODULES} <= set(ORDER)
+    assert {name_of(path) for path in MODULES} == set(ORDER)

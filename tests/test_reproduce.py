@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from jaxtissue import experiments, reproduce
 from jaxtissue.cli import main
-from jaxtissue.experiments import QUICK, Plan, Store, measure_runs, measure_volumes
-from jaxtissue.items import ITEMS, Product
+from jaxtissue.reproduction import experiments, reproduce
+from jaxtissue.reproduction.experiments import QUICK, Plan, Store, measure_runs, measure_volumes
+from jaxtissue.reproduction.items import ITEMS, Product
+from jaxtissue.reproduction.tissues import Annealing, History, anneal_histories, random_tissue, relax_lloyd
 from jaxtissue.sampling import cylindrical_voxels
-from jaxtissue.tissues import Annealing, History, anneal_histories, random_tissue, relax_lloyd
 from jaxtissue.tube import Tube
 from jaxtissue.voronoi import label_volumes, nearest_backbones
 

@@ -8,11 +8,19 @@ import pytest
 
 from jaxtissue.contacts import find_contacts
 from jaxtissue.edges import trace_edges
-from jaxtissue.pictures import plot_cell_in_tissues, plot_internal_pair, plot_scutoid
-from jaxtissue.shapes import APICAL, BASAL, cell_edges, cut_cell, label_section, shape_cell, to_cell_frame
+from jaxtissue.reproduction.pictures import plot_cell_in_tissues, plot_internal_pair, plot_scutoid
+from jaxtissue.reproduction.shapes import (
+    APICAL,
+    BASAL,
+    cell_edges,
+    cut_cell,
+    label_section,
+    shape_cell,
+    to_cell_frame,
+)
+from jaxtissue.reproduction.tube_pictures import plot_backbones, plot_tube
 from jaxtissue.transitions import find_transitions
 from jaxtissue.tube import Tube
-from jaxtissue.tube_pictures import plot_backbones, plot_tube
 
 TUBE = Tube(20, 2, 6)
 POSITIONS = np.asarray(TUBE.random_positions(jax.random.key(4), 24), float)

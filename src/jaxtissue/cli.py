@@ -14,7 +14,7 @@ from jaxtissue import io
 from jaxtissue.arguments import TUBE_SIZES, command_parser
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import resolution_named
-from jaxtissue.reproduce import choose_items, make_plan, reproduce
+from jaxtissue.reproduction.reproduce import choose_items, make_plan, reproduce
 from jaxtissue.runs import resume_annealing, run_annealing
 from jaxtissue.settings import Settings, provenance, saved_settings, versions
 from jaxtissue.statistics import find_connectivity

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from jaxtissue import published
-from jaxtissue.claims import QUICK_SIZES, Claims, near
-from jaxtissue.experiments import THRESHOLDS, Plan, Table
 from jaxtissue.laws import fit_neighbor_law
+from jaxtissue.reproduction import published
+from jaxtissue.reproduction.claims import QUICK_SIZES, Claims, near
+from jaxtissue.reproduction.experiments import THRESHOLDS, Plan, Table
 
 _GLAND = "real cells counted by hand, in tubes of many ratios; nothing to be met"
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from jaxtissue.shapes import label_section
+from jaxtissue.reproduction.shapes import label_section
 from jaxtissue.tube import Tube
 
 _VIEW: dict[str, Any] = {"elev": 24, "azim": -52}

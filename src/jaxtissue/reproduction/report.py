@@ -4,10 +4,22 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from jaxtissue.claims import MET, NOT_COMPARABLE, NOT_MET, Claim
-from jaxtissue.experiments import Plan, Table
-from jaxtissue.ratio_claims import judge_kinds, judge_neighbors, judge_pair, judge_scutoid, judge_transitions
-from jaxtissue.run_claims import judge_cell, judge_runs, judge_surfaces, judge_times, judge_volumes
+from jaxtissue.reproduction.claims import MET, NOT_COMPARABLE, NOT_MET, Claim
+from jaxtissue.reproduction.experiments import Plan, Table
+from jaxtissue.reproduction.ratio_claims import (
+    judge_kinds,
+    judge_neighbors,
+    judge_pair,
+    judge_scutoid,
+    judge_transitions,
+)
+from jaxtissue.reproduction.run_claims import (
+    judge_cell,
+    judge_runs,
+    judge_surfaces,
+    judge_times,
+    judge_volumes,
+)
 
 JUDGES: dict[str, Callable[[Mapping[str, Table], Plan], list[Claim]]] = {
     "table1": judge_times,

@@ -10,7 +10,9 @@ from matplotlib.figure import Figure
 from jaxtissue.candidates import measure_tissue
 from jaxtissue.contacts import find_contacts
 from jaxtissue.edges import trace_edges
-from jaxtissue.experiments import (
+from jaxtissue.laws import NeighborLaw, fit_neighbor_law
+from jaxtissue.plot import Tissue, plot_surfaces
+from jaxtissue.reproduction.experiments import (
     BASAL_RADIUS,
     Plan,
     Store,
@@ -20,17 +22,15 @@ from jaxtissue.experiments import (
     measure_runs,
     measure_volumes,
 )
-from jaxtissue.figures import plot_runs, plot_times, plot_volume_ranks
-from jaxtissue.laws import NeighborLaw, fit_neighbor_law
-from jaxtissue.pictures import plot_cell_in_tissues, plot_internal_pair, plot_scutoid
-from jaxtissue.plot import Tissue, plot_surfaces
-from jaxtissue.ratio_claims import ratio_means
-from jaxtissue.ratio_figures import plot_kinds, plot_neighbors, plot_transitions
-from jaxtissue.timings import measure_table
-from jaxtissue.tissues import random_tissue
+from jaxtissue.reproduction.figures import plot_runs, plot_times, plot_volume_ranks
+from jaxtissue.reproduction.pictures import plot_cell_in_tissues, plot_internal_pair, plot_scutoid
+from jaxtissue.reproduction.ratio_claims import ratio_means
+from jaxtissue.reproduction.ratio_figures import plot_kinds, plot_neighbors, plot_transitions
+from jaxtissue.reproduction.timings import measure_table
+from jaxtissue.reproduction.tissues import random_tissue
+from jaxtissue.reproduction.tube_pictures import plot_backbones, plot_tube
 from jaxtissue.transitions import find_transitions
 from jaxtissue.tube import Tube
-from jaxtissue.tube_pictures import plot_backbones, plot_tube
 
 PICTURED_RATIO = 10.0  # of the tissue that shows a scutoid and internal neighbors: R_a = 1
 

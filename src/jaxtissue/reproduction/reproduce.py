@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from jaxtissue import io
-from jaxtissue.claims import Claim
-from jaxtissue.experiments import QUICK, Plan, Store, Table
-from jaxtissue.items import ITEMS, Product
-from jaxtissue.report import judge_items, write_report
+from jaxtissue.reproduction.claims import Claim
+from jaxtissue.reproduction.experiments import QUICK, Plan, Store, Table
+from jaxtissue.reproduction.items import ITEMS, Product
+from jaxtissue.reproduction.report import judge_items, write_report
 from jaxtissue.settings import now, provenance
 
 

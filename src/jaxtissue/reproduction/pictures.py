@@ -16,7 +16,15 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from jaxtissue.edges import EdgeGraph
-from jaxtissue.shapes import APICAL, BASAL, CellShape, cell_edges, label_section, shape_cell, to_cell_frame
+from jaxtissue.reproduction.shapes import (
+    APICAL,
+    BASAL,
+    CellShape,
+    cell_edges,
+    label_section,
+    shape_cell,
+    to_cell_frame,
+)
 from jaxtissue.tube import Tube
 
 # Okabe and Ito's colors, which color-blind readers tell apart.

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from jaxtissue import published
-from jaxtissue.claims import QUICK_SIZES, Claims, listed, near
-from jaxtissue.experiments import Plan, Table
+from jaxtissue.reproduction import published
+from jaxtissue.reproduction.claims import QUICK_SIZES, Claims, listed, near
+from jaxtissue.reproduction.experiments import Plan, Table
 
 _MACHINE = "another machine, and a move here measures only the cells that it changes"
 _LOCAL = "MH is fast here too: a move measures the few cells that it changes, not the whole tissue"

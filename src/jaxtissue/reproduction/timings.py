@@ -10,9 +10,9 @@ from scipy import sparse
 from jaxtissue.anneal import CONFLICTS
 from jaxtissue.coloring import color, distance_conflicts, hop_conflicts
 from jaxtissue.contacts import find_contacts
-from jaxtissue.experiments import BASAL_RADIUS, Plan, Store, Table, tabulate
+from jaxtissue.reproduction.experiments import BASAL_RADIUS, Plan, Store, Table, tabulate
+from jaxtissue.reproduction.tissues import Annealing
 from jaxtissue.spread import covering_radius
-from jaxtissue.tissues import Annealing
 from jaxtissue.tube import Tube
 
 WARM_UP = 2  # sweeps before the timed ones: the first is compiled, the second may be with wider lists

@@ -14,9 +14,9 @@ from jaxtissue import io
 from jaxtissue.candidates import measure_tissue
 from jaxtissue.energy import tube_model
 from jaxtissue.laws import bound_ratios
+from jaxtissue.reproduction.tissues import Annealing, History, anneal_histories, random_tissue, relax_lloyd
 from jaxtissue.spread import covering_radius, separation
 from jaxtissue.statistics import KIND_ORDER, find_connectivity, summarize_connectivity
-from jaxtissue.tissues import Annealing, History, anneal_histories, random_tissue, relax_lloyd
 from jaxtissue.tube import Tube
 
 Table = dict[str, np.ndarray]

@@ -1,0 +1,1 @@
+"""The paper's evaluation made again: tissues, experiments, figures, verdicts, and the report on them."""
