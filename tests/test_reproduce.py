@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -18,6 +19,14 @@ from jaxtissue.tube import Tube
 from jaxtissue.voronoi import label_volumes, nearest_backbones
 
 TINY = replace(QUICK, cells=12, length=6.0, sweeps=2, kept=(1, 2))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_compile():
+    """Compile without optimization: little is computed, so that compiling is most of the time."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
 
 
 def made_up(annealing, seeds):
@@ -56,7 +65,7 @@ def test_a_quick_item_from_the_command_line(tmp_path, capsys):
     assert names == {"fig7.csv", "fig7.png", "manifest.json", "report.md", "report.csv"}
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest["plan"]["quick"] is True and manifest["items"]["fig7"]["versions"]["jax"]
-    assert len(reproduce.read_table(folder / "fig7.csv")["axial"]) == 1000
+    assert len(reproduce.read_table(folder / "fig7.csv")["axial"]) == QUICK.cells
     before = (folder / "fig7.png").stat().st_mtime_ns
     assert main(arguments) == 0 and (folder / "fig7.png").stat().st_mtime_ns == before
     assert "there already" in capsys.readouterr().err
@@ -119,6 +128,32 @@ def test_only_missing_seeds_are_annealed(store, monkeypatch):
         store.histories(annealing, range(3))
 
 
+def test_what_another_version_kept_is_computed_anew(store, monkeypatch, tmp_path, capsys):
+    asked = []
+    monkeypatch.setattr(
+        experiments, "anneal_histories", lambda a, seeds: asked.append(list(seeds)) or made_up(a, seeds)
+    )
+    annealing = TINY.annealing(5.0)
+    store.histories(annealing, [0]), store.row("one", lambda: {"value": 1})
+    monkeypatch.setattr(experiments, "FORMAT", experiments.FORMAT + 1)
+    store.histories(annealing, [0, 1]), store.histories(annealing, [0])
+    assert asked == [[0], [0, 1]] and store.row("one", lambda: {"value": 2})["value"] == 2
+    (store.folder / "one.json").write_text('{"value": 3}')  # as before there were versions
+    assert store.row("one", lambda: {"value": 4})["value"] == 4
+    (store.folder / "one.json").write_text("{")
+    with pytest.raises(ValueError, match="damaged"):
+        store.row("one", lambda: {"value": 5})
+    made = []
+    monkeypatch.setattr(
+        reproduce, "ITEMS", {"fig7": lambda *_: made.append(1) or Product({"": {"x": np.zeros(2)}}, Figure())}
+    )
+    monkeypatch.setattr(reproduce.ITEMS["fig7"], "__doc__", "One.")
+    for version in (1, 1, 2):
+        monkeypatch.setattr(reproduce, "FORMAT", version)
+        reproduce.reproduce(tmp_path / "out", ["fig7"], QUICK)
+    assert len(made) == 2 and "another version" in capsys.readouterr().err
+
+
 def test_names_of_histories_tell_apart_all_that_differs():
     tube = Tube(6, 2, 10)
     kinds = [
@@ -159,7 +194,7 @@ def test_lloyd_makes_volumes_alike_however_the_tube_is_turned():
         return np.asarray(label_volumes(labels[:, 0], weights, 40)).std()
 
     start = np.asarray(random_tissue(tube, 40, 1))
-    relaxed = [relax_lloyd(start, tube, iterations) for iterations in (0, 2, 15)]
+    relaxed = [relax_lloyd(start, tube, iterations) for iterations in (0, 2, 10)]
     spreads = [spread(place) for place in relaxed]
     assert spreads[2] < 0.6 * spreads[1] < 0.6 * spreads[0]
     turned = relax_lloyd(start + turn, tube, 2) - turn - relaxed[1]

@@ -2,6 +2,7 @@
 
 import math
 
+import jax
 import networkx as nx
 import numpy as np
 import pytest
@@ -27,13 +28,17 @@ TUBE, CELLS = Tube(15, 1, 10), 60  # one tube for all: each compiles anew
 
 @pytest.fixture(scope="module")
 def tissues():
-    """Positions and connectivity of one tissue, random and after a few sweeps."""
+    """Positions and connectivity of one tissue, random and after a few sweeps.
+
+    Compiled without optimization: few cells for few sweeps, so that compiling is most of the time.
+    """
     start = np.random.default_rng(5).uniform([0, 0], [15, 2 * math.pi], (CELLS, 2)).astype(np.float32)
     schedule = constant_schedule(2.0, 3)
     annealer = Annealer(tube_model(TUBE, CELLS), PRESETS["draft"], "is-mh", 0, schedule)
-    state = annealer.start(start)
-    for _ in range(3):
-        state, _ = annealer.advance(state)
+    jax.config.update("jax_disable_most_optimizations", True)
+    state, rows, _ = annealer.advance(annealer.start(start))
+    jax.config.update("jax_disable_most_optimizations", False)
+    assert len(rows) == state.sweep == 3
     places = {"random": start.astype(float), "annealed": state.positions.astype(float)}
     return {name: (place, find_connectivity(place, TUBE)) for name, place in places.items()}
 

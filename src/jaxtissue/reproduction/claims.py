@@ -1,7 +1,8 @@
 """A statement of the paper beside what was found, and the verdict by a criterion stated with it.
 
 A number is met within 20 %, a mean number of neighbors within 5 %, a share of cells within 5 points, similar
-energies within 10 %, words by the inequality that says the same.
+energies within the larger of two standard deviations of the seeds' spread and 5 %, words by the inequality
+that says the same.
 """
 
 from typing import NamedTuple

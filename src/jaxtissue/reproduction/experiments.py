@@ -23,13 +23,15 @@ Table = dict[str, np.ndarray]
 KINDS = ("random", "lloyd", "annealed")
 THRESHOLDS = (0.0, 0.01, 0.02, 0.05)  # smallest walls counted, in mean walls
 BASAL_RADIUS = 10.0
+FORMAT = 2  # of what is kept in a folder; raised when other code would compute other values
 
 
 @dataclass(frozen=True)
 class Plan:
     """How much is computed. The paper's sizes (section 4.3) are the defaults.
 
-    The quick plan keeps the density of cells, on a shorter piece of the tube.
+    The quick plan keeps the density of cells, on a shorter piece of the tube; all of it has the cells of the
+    table's first row, so that little is compiled.
     """
 
     quick: bool = False
@@ -54,10 +56,10 @@ class Plan:
 QUICK = Plan(
     quick=True,
     seeds=2,
-    cells=150,
-    length=30.0,
-    sweeps=15,
-    kept=(1, 5, 10, 15),
+    cells=100,
+    length=20.0,
+    sweeps=10,
+    kept=(1, 5, 10),
     ratios=(1.25, 2, 10, 50),
     table_cells=(100,),
     timed_sweeps=3,
@@ -66,46 +68,67 @@ QUICK = Plan(
 
 @dataclass
 class Store:
-    """What experiments share, in a folder: a run that is stopped takes up there. `fresh` forgets the old."""
+    """What experiments share, in a folder: a run that is stopped takes up there.
+
+    `fresh` forgets the old; what has another `FORMAT` is computed anew. Damaged files raise `ValueError`.
+    """
 
     folder: Path
     say: Callable[[str], None]
     fresh: bool = False
     renewed: set[Path] = field(default_factory=set)
 
-    def _has(self, path: Path) -> bool:
+    def _is_usable(self, path: Path) -> bool:
         return path.exists() and (not self.fresh or path in self.renewed)
 
     def row(self, name: str, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """A row of named numbers, computed only if it is not there."""
         path = self.folder / f"{name}.json"
-        if not self._has(path):
-            self.folder.mkdir(parents=True, exist_ok=True)
-            self.say(name.replace("_", " "))
-            io.write_json(path, compute())
-            self.renewed.add(path)
-        return json.loads(path.read_text(encoding="utf-8"))
+        if self._is_usable(path) and (row := _load_row(path)) is not None:
+            return row
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.say(name.replace("_", " "))
+        io.write_json(path, {"format": FORMAT, "row": compute()})
+        self.renewed.add(path)
+        return json.loads(path.read_text(encoding="utf-8"))["row"]
 
     def histories(self, annealing: Annealing, seeds: Sequence[int]) -> list[History]:
         """One annealing run for each seed; those that are not there are computed together."""
-        paths = [self.folder / f"{annealing.name}_seed{seed}.npz" for seed in seeds]
-        missing = [i for i, path in enumerate(paths) if not self._has(path)]
+        paths = {seed: self.folder / f"{annealing.name}_seed{seed}.npz" for seed in seeds}
+        found = {seed: _load_history(path) for seed, path in paths.items() if self._is_usable(path)}
+        known = {seed: history for seed, history in found.items() if history is not None}
+        missing = [seed for seed in seeds if seed not in known]
         if missing:
             self.folder.mkdir(parents=True, exist_ok=True)
             self.say(f"annealing {len(missing)} x {annealing.name.replace('_', ' ')}")
-        for i, history in zip(missing, anneal_histories(annealing, [seeds[i] for i in missing]), strict=True):
-            with io.replacing(paths[i], "wb") as file:
-                np.savez(file, allow_pickle=False, positions=history.positions, **history.records)
-            self.renewed.add(paths[i])
-        return [_load_history(path) for path in paths]
+        new = anneal_histories(annealing, missing) if missing else []
+        for seed, history in zip(missing, new, strict=True):
+            columns: dict[str, Any] = {"format": FORMAT, "positions": history.positions}
+            with io.replacing(paths[seed], "wb") as file:
+                np.savez(file, allow_pickle=False, **columns, **history.records)
+            self.renewed.add(paths[seed])
+            known[seed] = history
+        return [known[seed] for seed in seeds]
 
 
-def _load_history(path: Path) -> History:
+def _load_history(path: Path) -> History | None:
+    """The history in a file, none where it has another format."""
     try:
         with np.load(path, allow_pickle=False) as file:
             columns = dict(file)
+        if columns.pop("format", 0) != FORMAT:
+            return None
         return History(columns, columns.pop("positions"))
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is damaged ({error}); remove it") from error
+
+
+def _load_row(path: Path) -> dict[str, Any] | None:
+    """The row in a file, none where it has another format."""
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        return kept["row"] if kept.get("format") == FORMAT else None
+    except (ValueError, KeyError, AttributeError) as error:
         raise ValueError(f"{path} is damaged ({error}); remove it") from error
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from jaxtissue.reproduction import published
 from jaxtissue.reproduction.experiments import Table
@@ -22,36 +22,38 @@ _BLUE, _ORANGE, _GREEN, _PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 
 def plot_times(table: Table) -> tuple[Figure, np.ndarray]:
     """Seconds per sweep and rounds against the number of cells, beside the paper's (paper, Table 1)."""
-    figure = Figure(figsize=(11, 5.2), layout="constrained")
+    figure = Figure(figsize=(11, 6), layout="constrained")
     axes = figure.subplots(1, 2)
-    for radius, dashes in ((1.0, "-"), (5.0, "--")):
+    for radius, dashes, size in ((1.0, "-", 8), (5.0, "--", 5)):
         rows = {name: column[table["apical_radius"] == radius] for name, column in table.items()}
         paper = [published.TABLE_1.get((radius, int(n))) for n in rows["cells"]]
         told = [n for n, row in zip(rows["cells"], paper, strict=True) if row]
         for name, label, color, marker in (("mh", "MH", _ORANGE, "s"), ("is_mh", "IS-MH", _BLUE, "o")):
             here = f"{label}, $R_a$ = {radius:g}"
-            axes[0].plot(
-                rows["cells"], rows[f"{name}_seconds"], dashes, marker=marker, color=color, label=here
-            )
+            look: dict[str, Any] = {"marker": marker, "ms": size, "color": color}
+            axes[0].plot(rows["cells"], rows[f"{name}_seconds"], dashes, label=here, **look)
             theirs = [getattr(row, f"{name}_seconds") for row in paper if row]
-            axes[0].plot(told, theirs, dashes, marker=marker, color=color, alpha=0.55, mfc="white",
-                         label=f"{here}, paper")  # fmt: skip
+            axes[0].plot(told, theirs, dashes, alpha=0.6, mfc="white", label=f"{here}, paper", **look)
         for rule, color in zip(
             ("2_hop", "3_hop", "4_hop", "8_phi"), (_GREEN, _BLUE, _PURPLE, "#777777"), strict=True
         ):
             label = f"{rule.replace('_', '-').replace('8-phi', '8 phi')}, $R_a$ = {radius:g}"
-            axes[1].plot(rows["cells"], rows[f"rounds_{rule}"], dashes, marker="o", color=color, label=label)
+            look = {"marker": "o", "ms": size, "color": color}
+            axes[1].plot(rows["cells"], rows[f"rounds_{rule}"], dashes, label=label, **look)
         theirs = [row.rounds for row in paper if row]
-        axes[1].plot(
-            told, theirs, dashes, marker="D", color="black", mfc="white", label=f"paper, $R_a$ = {radius:g}"
-        )
+        look = {"marker": "D", "ms": size, "color": "black", "mfc": "white"}
+        axes[1].plot(told, theirs, dashes, label=f"paper, $R_a$ = {radius:g}", **look)
     for panel, name in zip(axes, ("seconds per sweep", "rounds per sweep"), strict=True):
         panel.set(xlabel="cells", ylabel=name, xscale="log", yscale="log")
         panel.grid(which="both", color="0.92")
         panel.xaxis.set_major_locator(FixedLocator(np.unique(table["cells"]).tolist()))
         panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         panel.xaxis.set_minor_locator(NullLocator())
-        panel.legend(fontsize=7.5, ncols=2)
+        panel.legend(fontsize=8, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.12))
+    axes[1].yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes[1].yaxis.set_minor_formatter(NullFormatter())
+    for axis in (axes[0].yaxis, axes[1].yaxis):
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes[0].set_title("Time (the paper's: a laptop with 4 cores)")
     axes[1].set_title("Sets of independent moves under each rule")
     return figure, axes

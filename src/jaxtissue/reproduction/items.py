@@ -32,6 +32,7 @@ from jaxtissue.reproduction.tube_pictures import plot_backbones, plot_tube
 from jaxtissue.transitions import find_transitions
 from jaxtissue.tube import Tube
 
+PICTURED_CELLS = 1000  # of Figs. 7 to 9
 PICTURED_RATIO = 10.0  # of the tissue that shows a scutoid and internal neighbors: R_a = 1
 
 
@@ -66,19 +67,19 @@ def make_fig5(plan: Plan, store: Store) -> Product:
 
 def make_fig7(plan: Plan, store: Store) -> Product:
     """The backbones of random tissue."""
-    tube, place = _pictured()
+    tube, place = _pictured(plan)
     return Product({"": _backbones(place)}, plot_backbones(tube, place)[0])
 
 
 def make_fig8(plan: Plan, store: Store) -> Product:
     """The cells of the same tissue."""
-    tube, place = _pictured()
+    tube, place = _pictured(plan)
     return Product({"": _backbones(place)}, plot_tube(tube, place)[0])
 
 
 def make_fig9(plan: Plan, store: Store) -> Product:
     """The surfaces of the same tissue."""
-    tube, place = _pictured()
+    tube, place = _pictured(plan)
     cells, _ = measure_tissue(jnp.asarray(place), tube)
     sizes = {name: np.asarray(getattr(cells, name)) for name in ("volume", "apical_area", "basal_area")}
     tissue = Tissue(f"{len(place)} random cells", place, sizes["volume"])
@@ -170,10 +171,10 @@ ITEMS: dict[str, Callable[[Plan, Store], Product]] = {
 }
 
 
-def _pictured() -> tuple[Tube, np.ndarray]:
-    """The paper's tube of Figs. 7 to 9, L = 80, R_a = 10, R_b = 20, n = 1000, in every plan."""
+def _pictured(plan: Plan) -> tuple[Tube, np.ndarray]:
+    """The paper's tube of Figs. 7 to 9, L = 80, R_a = 10, R_b = 20, its 1000 cells or the quick plan's."""
     tube = Tube(80.0, 10.0, 20.0)
-    return tube, np.asarray(random_tissue(tube, 1000, 0), float)
+    return tube, np.asarray(random_tissue(tube, plan.cells if plan.quick else PICTURED_CELLS, 0), float)
 
 
 def _annealed(plan: Plan, store: Store) -> tuple[Tube, np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -87,6 +87,7 @@ def plot_scutoid(
     """
     place, (edges, points) = np.asarray(positions, float), corners
     figure = Figure(figsize=(12.5, 5.6), layout="constrained")
+    figure.set_layout_engine("constrained", w_pad=0.15)
     grid = figure.add_gridspec(1, 3, width_ratios=[1, 1, 1.15])
     solids = [figure.add_subplot(grid[0, i], projection="3d") for i in (0, 1)]
     shape, lines = shape_cell(place, tube, cell), cell_edges(edges, place, cell)
@@ -115,7 +116,7 @@ def plot_internal_pair(
 ) -> tuple[Figure, list[Axes]]:
     """Two cells that touch at `radius` but on neither surface: sections and the cells (paper, Fig. 16)."""
     place = np.asarray(positions, float)
-    figure = Figure(figsize=(11, 9), layout="constrained")
+    figure = Figure(figsize=(9.6, 9), layout="constrained")
     grid = figure.add_gridspec(2, 2)
     places = {"basal surface": float(tube.basal_radius), "where they touch": radius}
     places["apical surface"] = float(tube.apical_radius)
@@ -178,19 +179,25 @@ def _paint(shape: CellShape, colors: Mapping[int, Any], rest: Any, view: View) -
 def _draw_unrolled(
     axes: Axes, shape: CellShape, colors: Mapping[int, Any], lines: np.ndarray, points: np.ndarray
 ) -> None:
-    """The wall of a cell by the direction round its backbone; a quadrilateral over the cut is left out."""
+    """The wall of a cell by the direction round its backbone; what lies over the cut is drawn twice."""
 
     def unrolled(place: np.ndarray) -> np.ndarray:
         turn = np.degrees(np.arctan2(place[..., 1], place[..., 0]))
         return np.stack([turn, np.hypot(place[..., 1], place[..., 2])], axis=-1)
 
+    def both(pieces: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        over = np.ptp(pieces[..., 0], axis=1) > 180
+        right = pieces[over] + np.where(pieces[over][..., :1] < 0, [360, 0], 0)
+        return np.concatenate([pieces[~over], right, right - [360, 0]]), np.concatenate(
+            [parts[~over], parts[over], parts[over]]
+        )
+
     wall = ~np.isin(shape.behind, (APICAL, BASAL))
-    flat, strokes = unrolled(shape.corners[wall]), unrolled(lines)
-    whole = np.ptp(flat[..., 0], axis=1) < 180
-    shades = [to_rgba(colors.get(int(label), _END)) for label in shape.behind[wall][whole]]
-    axes.add_collection(PolyCollection(list(flat[whole]), fc=shades, ec=shades, linewidths=0.4))
-    for stroke in strokes[np.ptp(strokes[..., 0], axis=1) < 180]:
-        axes.plot(*stroke.T, color=_EDGE, lw=1.2)
+    flat, behind = both(unrolled(shape.corners[wall]), shape.behind[wall])
+    strokes, _ = both(unrolled(lines), np.arange(len(lines)))
+    shades = [to_rgba(colors.get(int(label), _END)) for label in behind]
+    axes.add_collection(PolyCollection(list(flat), fc=shades, ec=shades, linewidths=0.4))
+    axes.add_collection(LineCollection(list(strokes), colors=_EDGE, linewidths=1.2))
     axes.plot(*unrolled(points).T, "o", color="black", markerfacecolor="white", zorder=5)
     radii = np.linalg.norm(shape.corners[..., 1:], axis=-1)
     spare = 0.03 * np.ptp(radii)
@@ -214,7 +221,10 @@ def _draw_section(axes: Axes, tube: Tube, place: np.ndarray, pair: tuple[int, in
         image[labels == cell] = to_rgba(color)
     axes.imshow(image, origin="lower", extent=(axial[0], axial[-1], -half, half), aspect="equal")
     for cell in np.unique(labels):
-        axes.contour(axial, around, labels == cell, levels=[0.5], colors=_EDGE, linewidths=0.8)
+        row, column = (slice(max(at.min() - 1, 0), at.max() + 2) for at in np.nonzero(labels == cell))
+        inside = labels[row, column] == cell
+        if min(inside.shape) > 1:
+            axes.contour(axial[column], around[row], inside, levels=[0.5], colors=_EDGE, linewidths=0.8)
     axes.set(xlim=(axial[0], axial[-1]), ylim=(-width, width))
     axes.set(xlabel="along the axis (tube units)", ylabel="around the tube (tube units)")
 
@@ -228,7 +238,7 @@ def _frame(axes: Axes3D, corners: Float[np.ndarray, "... 3"]) -> None:
     look: dict[str, Any] = {"aspect": high - low + 2 * spare, "zoom": 0.96}
     axes.set_box_aspect(**look)
     directions: list[Any] = [axes.xaxis, axes.yaxis, axes.zaxis]
-    labels = ("along the axis", "around", "from the axis (tube units)")
+    labels = ("along the axis (tube units)", "around (tube units)", "from the axis (tube units)")
     for axis, label in zip(directions, labels, strict=True):
         axis.set_label_text(label, fontsize=9)
         axis.set_major_locator(MaxNLocator(4))

@@ -9,7 +9,7 @@ from jaxtissue.reproduction import published
 from jaxtissue.reproduction.claims import QUICK_SIZES, Claims, near
 from jaxtissue.reproduction.experiments import THRESHOLDS, Plan, Table
 
-_GLAND = "real cells counted by hand, in tubes of many ratios; nothing to be met"
+_GLAND = "real cells, in glands of many ratios; nothing to be met"
 
 
 def judge_neighbors(tables: Mapping[str, Table], plan: Plan) -> Claims:

@@ -79,9 +79,14 @@ def plot_transitions(table: Table) -> tuple[Figure, np.ndarray]:
     axes[2].plot(
         [ratio, table["ratio"].max()], 2 * [100 * fraction], "k--", lw=1, label="paper: over 90 % from 2 on"
     )
-    names = ("mean transition points of a cell", "largest number in a tissue", "scutoids (% of the cells)")
-    for panel, name in zip(axes, names, strict=True):
-        panel.set(ylabel=name, ylim=(0, None))
+    names = (
+        "mean transition points of a cell",
+        "largest number of transition points",
+        "scutoids (% of the cells)",
+    )
+    titles = ("Transition points", "The cell with the most", "Scutoids")
+    for panel, title, name in zip(axes, titles, names, strict=True):
+        panel.set(title=title, ylabel=name, ylim=(0, None))
         panel.legend(fontsize=8)
     axes[2].yaxis.set_major_formatter(PercentFormatter())
     return figure, axes

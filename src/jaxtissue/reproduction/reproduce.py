@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxtissue import io
 from jaxtissue.reproduction.claims import Claim
-from jaxtissue.reproduction.experiments import QUICK, Plan, Store, Table
+from jaxtissue.reproduction.experiments import FORMAT, QUICK, Plan, Store, Table
 from jaxtissue.reproduction.items import ITEMS, Product
 from jaxtissue.reproduction.report import judge_items, write_report
 from jaxtissue.settings import now, provenance
@@ -64,12 +64,12 @@ def reproduce(folder: Path, items: Sequence[str], plan: Plan, force: bool = Fals
 
 
 def _open(folder: Path, plan: Plan, force: bool) -> dict[str, Any]:
-    """The manifest of the folder, with the items whose files are all there."""
+    """The manifest of the folder, with the items whose files are all there, if they are of this format."""
     path = folder / "manifest.json"
     arguments = json.loads(json.dumps(asdict(plan)))
     if folder.exists() and not path.exists() and any(folder.iterdir()) and not force:
         raise ValueError(f"the output folder {folder} holds other files; choose another or add --force")
-    manifest: dict[str, Any] = {"plan": arguments, "items": {}}
+    manifest: dict[str, Any] = {"format": FORMAT, "plan": arguments, "items": {}}
     if path.exists():
         try:
             saved = json.loads(path.read_text(encoding="utf-8"))
@@ -79,7 +79,9 @@ def _open(folder: Path, plan: Plan, force: bool) -> dict[str, Any]:
             raise ValueError(
                 f"{path} is no manifest of this command ({error}); choose another folder"
             ) from error
-        if planned == arguments:
+        if saved.get("format") != FORMAT:
+            _say(f"{folder} was filled by another version; all that is asked for is made anew")
+        elif planned == arguments:
             manifest["items"] = whole
         elif not force:
             kind = "--quick" if planned.get("quick") else "full"
