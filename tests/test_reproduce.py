@@ -168,20 +168,22 @@ def test_names_of_histories_tell_apart_all_that_differs():
 
 def test_tables_of_runs_and_volumes(store, monkeypatch):
     monkeypatch.setattr(experiments, "anneal_histories", made_up)
+    monkeypatch.setattr(experiments, "covering_radius", lambda place, tube: 6.0)
+    monkeypatch.setattr(experiments, "separation", lambda place, tube: 0.5)
     runs = measure_runs(TINY, store)
     assert len(runs["sweep"]) == 2 * 2 * 2 * 3 and list(runs["rounds_so_far"][:3]) == [0, 1, 3]
     own = runs["algorithm"] == "is-mh"
-    assert np.isfinite(runs["tightness"][own]).all() and np.isnan(runs["tightness"][~own]).all()
+    assert (runs["tightness"][own] == 12).all() and np.isnan(runs["tightness"][~own]).all()
     volumes = measure_volumes(TINY, store)
     first = volumes["volume"][:12]
     assert (np.diff(first) >= 0).all() and first.sum() == pytest.approx(float(TINY.tube(10).volume), rel=2e-3)
 
 
 def test_histories_start_from_the_random_tissue_of_their_seed():
-    annealing = Annealing(Tube(10, 3, 6), 12, 1)
+    annealing = Annealing(Tube(15, 1, 10), 60, 1)  # of the shapes of other tests, compiled once
     history = anneal_histories(annealing, [5])[0]
-    assert history.positions.shape == (2, 12, 2) and list(history.records["sweep"]) == [0, 1]
-    start = np.asarray(random_tissue(annealing.tube, 12, 5))
+    assert history.positions.shape == (2, 60, 2) and list(history.records["sweep"]) == [0, 1]
+    start = np.asarray(random_tissue(annealing.tube, 60, 5))
     assert np.array_equal(history.positions[0], start) and not np.array_equal(history.positions[1], start)
 
 

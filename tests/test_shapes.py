@@ -8,6 +8,7 @@ import pytest
 
 from jaxtissue.contacts import find_contacts
 from jaxtissue.edges import trace_edges
+from jaxtissue.reproduction import tube_pictures
 from jaxtissue.reproduction.pictures import plot_cell_in_tissues, plot_internal_pair, plot_scutoid
 from jaxtissue.reproduction.shapes import (
     APICAL,
@@ -110,7 +111,8 @@ def test_pictures_of_cells_name_their_axes(edges):
     assert rendered(figure) and all("tube units" in panel.get_xlabel() for panel in axes[:3])
 
 
-def test_pictures_of_tubes_name_their_axes():
+def test_pictures_of_tubes_name_their_axes(monkeypatch):
+    monkeypatch.setattr(tube_pictures, "_GRID", (120, 60, 8))
     for plot in (plot_backbones, plot_tube):
         figure, axes = plot(TUBE, POSITIONS)
         assert rendered(figure) and "tube units" in axes.get_xlabel() and "24" in axes.get_title()
