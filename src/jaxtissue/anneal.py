@@ -29,7 +29,7 @@ MARGIN = 4  # longest moves by which a candidate may lie on the other side of a 
 WINDOW = (
     1.5  # mean cell widths on either side of a backbone that the first window of lines covers: most cells
 )
-ROUNDS = 42  # sets that the cells are spread over at least: coloring 3 hops takes 33 to 46
+ROUNDS = 32  # sets that the cells are spread over at least: coloring 3 hops takes 33 to 46
 CAPACITY = 64  # rounds are padded to a multiple of it
 SPARSE = Resolution(4, 2)  # lines on which it is seen how clear of a cell its candidates are
 PROGRAMS: dict[Any, Callable] = {}  # compiled, for all runs alike in shapes

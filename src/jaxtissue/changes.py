@@ -13,6 +13,7 @@ from jaxtissue.lines import Lines
 from jaxtissue.walls import LEVEL, Posts, Rivals, meeting, posts, see_lines
 
 ITEMS = 72  # cells measured at once, 8 times an odd number as in `cells`
+ROOM = 20  # cells that a move may change, on average over a round: twice as many as it does
 
 
 class Neighborhoods(NamedTuple):
@@ -99,6 +100,11 @@ def find_changed(
     return touched, jnp.concatenate([perhaps, jnp.zeros_like(moves)], axis=1)
 
 
+def room(changed: Bool[Array, "width around+1"]) -> int:
+    """The most cells that the moves of a round may change together; all around one, at least."""
+    return min(changed.size, max(changed.shape[1], ROOM * changed.shape[0]))
+
+
 def find_collisions(changed: Array, movers: Array, near: Neighborhoods) -> Bool[Array, "width"]:
     """Moves that would change a cell which an earlier move of the round changes too."""
     n, width = len(near.around), len(movers)
@@ -122,8 +128,10 @@ def measure_changes(
 ) -> Changes:
     """Measure every changed cell as if its one move were made, in as many blocks as it takes."""
     model, lines = rules
-    size = changed.size
-    item = jnp.minimum(jax.lax.sort(jnp.where(changed.ravel(), jnp.arange(size), size)), size - 1)
+    size = room(changed)
+    places = jnp.arange(changed.size)
+    item = jax.lax.sort(jnp.where(changed.ravel(), places, changed.size))[:size]
+    item = jnp.minimum(item, changed.size - 1)
     move, cell = item // changed.shape[1], members(movers, near).ravel()[item]
     total = changed.sum(dtype=jnp.int32)
     blank = jnp.zeros(size, state.volume.dtype)

@@ -22,6 +22,7 @@ from jaxtissue.changes import (
     measure_changes,
     members,
     pick,
+    room,
 )
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines
@@ -68,7 +69,8 @@ def sweep(
     """One move for every cell, round by round: propose, find what changes, measure it, decide.
 
     Only the first `count` of the (padded) `rounds` are played. A move that would change a cell which another
-    move of its round changes too is put off and played in a round of its own at the end.
+    move of its round changes too is put off and played in a round of its own at the end; so are moves that
+    change more cells than there is room for.
     """
     move_key, accept_key = jax.random.split(key)
     proposed = propose(move_key, state.place, model)
@@ -88,15 +90,18 @@ def sweep(
         touched, perhaps = find_changed(movers, state, proposed, near, (model, lines))
         collides = find_collisions(touched, movers, near)
         measured = (touched | perhaps) & ~collides[:, None]
+        crowded = jnp.cumsum(measured.sum(axis=1)) > room(measured)
+        measured &= ~crowded[:, None]
         changes = measure_changes(measured, movers, state, proposed, near, (model, lines))
         real = drop_unchanged(changes, touched, state, model)
         changed = jnp.zeros(touched.size, bool).at[changes.item].max(real).reshape(touched.shape)
         collides |= find_collisions(changed, movers, near)
+        put_off = collides | (crowded & (movers >= 0))
         difference = local_differences(changes, real, state, model, len(movers))
         weight = jnp.exp(-jnp.maximum(difference, 0) / jnp.maximum(temperature, jnp.finfo(chance.dtype).tiny))
-        accept = (movers >= 0) & ~collides & (chance[movers] < weight)
+        accept = (movers >= 0) & ~put_off & (chance[movers] < weight)
         n = len(chance)
-        deferred = deferred.at[jnp.where(collides, movers, n)].set(True, mode="drop")
+        deferred = deferred.at[jnp.where(put_off, movers, n)].set(True, mode="drop")
         info = SweepInfo(
             info.accepted + accept.sum(dtype=jnp.int32),
             info.collisions + collides.sum(dtype=jnp.int32),
