@@ -51,10 +51,11 @@ class Measured(NamedTuple):
 
 
 class AnnealState(NamedTuple):
-    """All that a run needs to go on to the bit: sweeps done, backbones."""
+    """All that a run needs to go on to the bit: sweeps done, backbones, and how wide its lists have grown."""
 
     sweep: int
     positions: Float[np.ndarray, "n 2"]
+    widths: tuple[int, int] = (0, 0)  # of the candidates on each side, and of all who are around a cell
 
 
 class SweepRecord(NamedTuple):
@@ -112,7 +113,6 @@ class Annealer:
         self._exactness = EXACT * float(jnp.finfo(dtype).eps) * float(self.model.mean_volume)
         self.compile_seconds = 0.0
         self._last: tuple[AnnealState, Measured] | None = None
-        self._around = 48
 
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
         """The state before the first sweep."""
@@ -149,7 +149,7 @@ class Annealer:
         measured = self._measure(state)
         clear = measured.clear.copy()
         while True:
-            near = self._near(measured.sides, clear)
+            near = _shortlists(measured.sides, clear, state.widths[1])
             after, trail = self._play_on(near, state, plan, sweeps)
             fresh = self._measure(after)
             missing = self._missing(fresh, near, trail)
@@ -183,7 +183,8 @@ class Annealer:
         lines = self._plan(len(state.positions))
         _, trail = self._run(play, *draw, tissue, self.model, temperatures, near, order, lines)
         trail = jax.tree.map(lambda leaf: np.asarray(leaf[:sweeps]), trail)
-        return AnnealState(state.sweep + sweeps, trail.positions[-1]), trail
+        widths = self._measure(state).sides.shape[2], near.around.shape[1]
+        return AnnealState(state.sweep + sweeps, trail.positions[-1], widths), trail
 
     def _missing(self, fresh: Measured, near: Neighborhoods, trail: Trail) -> Int[np.ndarray, "pairs 2"]:
         """Cells not as they were carried along, and those who stop them without having been listed."""
@@ -205,15 +206,6 @@ class Annealer:
         info = jax.tree.map(lambda a, b: a + b, first.info, second.info)
         return after, second._replace(info=info), max(drift, more)
 
-    def _near(
-        self, sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"]
-    ) -> Neighborhoods:
-        """The candidates of a few sweeps, of those measured."""
-        few = nearest_sides(sides, clear, min(CANDIDATES, sides.shape[2]))
-        lists = around(few)
-        self._around = max(self._around, -(-lists.shape[1] // 16) * 16)  # only grows, and seldom
-        return Neighborhoods(padded(lists, self._around), few)
-
     def _plan(self, cells: int) -> Lines:
         return plan_lines(self.model.tube, cells, self.resolution, WINDOW)
 
@@ -222,19 +214,19 @@ class Annealer:
         if self._last and self._last[0].positions is state.positions:
             return self._last[1]
         place, tube = jnp.asarray(state.positions), self.model.tube
-        sides = self._find(place)
+        sides = self._find(place, state.widths[0])
         lines = self._plan(len(place)), plan_lines(tube, len(place), SPARSE)
         seen, clear = self._run(look, place, self.model, lines, sides)
         self._last = state, Measured(seen, sides, np.asarray(clear), contact_graph(sides, seen.touched))
         return self._last[1]
 
-    def _find(self, place: Float[Array, "n 2"]) -> Int[np.ndarray, "n 2 candidates"]:
-        """Complete candidate lists, wide enough for a run to keep its shapes."""
+    def _find(self, place: Float[Array, "n 2"], width: int) -> Int[np.ndarray, "n 2 candidates"]:
+        """Complete candidate lists, at least of a width."""
         begin, first = time.perf_counter(), self._last is None
         margin = MARGIN * float(move_bound(self.model, len(place)))
         sides = find_candidates(place, self.model.tube, margin)
         self.compile_seconds += (time.perf_counter() - begin) * first
-        return sides
+        return padded(sides, max(width, -(-sides.shape[2] // 24) * 24))
 
     def _rounds(self, state: AnnealState) -> list[Int[np.ndarray, "rounds width"]]:
         """For each sweep of a span the order of its moves: one by one, or in independent sets."""
@@ -293,3 +285,14 @@ class Annealer:
                 )
             )
         return rows
+
+
+def _shortlists(
+    sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"], width: int
+) -> Neighborhoods:
+    """The candidates of a few sweeps, and who is around each cell, at least of a width with room to grow."""
+    few = nearest_sides(sides, clear, min(CANDIDATES, sides.shape[2]))
+    lists = around(few)
+    if lists.shape[1] > width:
+        width = -(-int(1.1 * lists.shape[1]) // 16) * 16
+    return Neighborhoods(padded(lists, width), few)

@@ -133,7 +133,7 @@ def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> I
     would each repeat the loop). That blurs the choice, not the reach, by about 1e-5.
     """
     candidates, _, cells = rivals.half.shape
-    bits = max(candidates - 1, 1).bit_length()
+    bits = next(bits for bits in (5, 7, 10, 16) if candidates <= 1 << bits)  # not to depend on padding
     integer = jnp.int64 if ends.dtype == jnp.float64 else jnp.int32
     recast = jax.lax.bitcast_convert_type
     line = jax.tree.map(lambda table: table[:, None], grid)
