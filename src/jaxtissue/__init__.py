@@ -8,25 +8,20 @@
 True
 """
 
-from jaxtissue.anneal import (
-    Annealer,
-    AnnealState,
-    SweepRecord,
-    constant_schedule,
-    geometric_schedule,
-    has_stalled,
-)
+from jaxtissue.anneal import Annealer, AnnealState, SweepRecord
 from jaxtissue.backbones import Backbones, distance_between_segments, distance_to_segment
 from jaxtissue.candidates import find_candidates, measure_tissue, sided, tiling_defect
 from jaxtissue.cells import CellGeometry, measure_cells
+from jaxtissue.changes import TissueState, tissue_state
 from jaxtissue.contacts import Contacts, find_contacts
 from jaxtissue.edges import trace_edges
 from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
 from jaxtissue.exact import ExactDiagram, exact_cells
 from jaxtissue.laws import NeighborLaw, bound_ratios, fit_neighbor_law
 from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines, resolution_named
-from jaxtissue.metropolis import SweepInfo, TissueState, sweep, tissue_state
+from jaxtissue.metropolis import SweepInfo, sweep
 from jaxtissue.sampling import cartesian_voxels, cylindrical_voxels
+from jaxtissue.schedules import constant_schedule, geometric_schedule, has_stalled
 from jaxtissue.spread import (
     covering_radius,
     neighbor_bound,

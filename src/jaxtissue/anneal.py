@@ -1,7 +1,7 @@
-"""Annealing: chunks of sweeps, lists and rounds renewed between them, at a schedule of temperatures."""
+"""Annealing: spans of sweeps, lists and rounds renewed between them, at a schedule of temperatures."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -10,26 +10,15 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import sparse
 
-from jaxtissue.candidates import (
-    around,
-    clearance,
-    contact_graph,
-    find_candidates,
-    nearest_sides,
-    padded,
-)
-from jaxtissue.cells import CellGeometry, Survey, measure_cells
+from jaxtissue.candidates import contact_graph, find_candidates, padded
+from jaxtissue.cells import CellGeometry, Survey
+from jaxtissue.changes import Neighborhoods, tissue_state
 from jaxtissue.coloring import color, distance_conflicts, hop_conflicts
-from jaxtissue.energy import Model, lateral_tension, volume_elasticity
+from jaxtissue.energy import Model
 from jaxtissue.lines import Lines, Resolution, plan_lines
-from jaxtissue.metropolis import (
-    Neighborhoods,
-    SweepInfo,
-    TissueState,
-    move_bound,
-    sweep,
-    tissue_state,
-)
+from jaxtissue.metropolis import SweepInfo, move_bound
+from jaxtissue.shortlists import around, find_unlisted, list_first, nearest_sides
+from jaxtissue.spans import Trail, energy_terms, look, play
 from jaxtissue.spread import covering_radius
 
 ALGORITHMS = ("is-mh", "mh")
@@ -40,7 +29,7 @@ MARGIN = 4  # longest moves by which a candidate may lie on the other side of a 
 WINDOW = (
     1.5  # mean cell widths on either side of a backbone that the first window of lines covers: most cells
 )
-ROUNDS = 42  # sets that the cells are spread over at least: coloring 3 hops takes 33 to 46
+ROUNDS = 32  # sets that the cells are spread over at least: coloring 3 hops takes 33 to 46
 CAPACITY = 64  # rounds are padded to a multiple of it
 SPARSE = Resolution(4, 2)  # lines on which it is seen how clear of a cell its candidates are
 PROGRAMS: dict[Any, Callable] = {}  # compiled, for all runs alike in shapes
@@ -56,16 +45,17 @@ class Measured(NamedTuple):
     contacts: sparse.csr_array
 
     @property
-    def cells(self) -> CellGeometry:
-        """The sizes of the cells."""
-        return self.seen.sizes
+    def sizes(self) -> Float[np.ndarray, "2 1 n"]:
+        """Volumes and lateral areas of the cells."""
+        return np.stack([self.seen.sizes.volume, self.seen.sizes.lateral_area])[:, None]
 
 
 class AnnealState(NamedTuple):
-    """All that a run needs to go on to the bit: sweeps done, backbones."""
+    """All that a run needs to go on to the bit: sweeps done, backbones, and how wide its lists have grown."""
 
     sweep: int
     positions: Float[np.ndarray, "n 2"]
+    widths: tuple[int, int] = (0, 0)  # of the candidates on each side, and of all who are around a cell
 
 
 class SweepRecord(NamedTuple):
@@ -87,74 +77,6 @@ class SweepRecord(NamedTuple):
     seconds: float
     left_cell: int
     drift: float
-
-
-class Trail(NamedTuple):
-    """Sweep by sweep: sizes and backbones after each, and what it did, [sweeps, ...]."""
-
-    volume: Float[np.ndarray, "sweeps n"]
-    lateral_area: Float[np.ndarray, "sweeps n"]
-    positions: Float[np.ndarray, "sweeps n 2"]
-    info: SweepInfo
-
-
-def constant_schedule(temperature: float, sweeps: int) -> Float[np.ndarray, "sweeps"]:
-    """The same temperature at every sweep."""
-    return np.full(sweeps, float(temperature))
-
-
-def geometric_schedule(first: float, last: float, sweeps: int) -> Float[np.ndarray, "sweeps"]:
-    """Temperatures from `first` to `last` by a constant factor; `ValueError` unless both are positive."""
-    if not (first > 0 and last > 0):
-        raise ValueError(f"temperatures {first} and {last}: a geometric schedule needs both above 0")
-    return np.geomspace(first, last, sweeps) if sweeps > 1 else np.full(sweeps, float(first))
-
-
-def has_stalled(energies: Sequence[float], patience: int) -> bool:
-    """Whether the last `patience` energies hold no new minimum; never for a patience of 0."""
-    return bool(0 < patience < len(energies) and min(energies[-patience:]) >= min(energies[:-patience]))
-
-
-def look(
-    positions: Float[Array, "n 2"],
-    model: Model,
-    lines: tuple[Lines, Lines],
-    sides: Int[Array, "n 2 candidates"],
-) -> tuple[Survey, Float[Array, "n 2 candidates"]]:
-    """Measure a whole tissue, and on fewer lines how clear of each cell its candidates are."""
-    _, seen = measure_cells(positions, model.tube, lines[0], sides)
-    return seen, jnp.where(seen.touched, -1, clearance(positions, model.tube, lines[1], sides))
-
-
-def play(
-    seed: Int[Array, ""],
-    first: Int[Array, ""],
-    state: TissueState,
-    model: Model,
-    temperatures: Float[Array, "sweeps"],
-    near: Neighborhoods,
-    plan: tuple[Int[Array, "sweeps rounds width"], Int[Array, "sweeps"]],
-    lines: Lines,
-) -> tuple[TissueState, Trail]:
-    """Sweeps `first`, `first` + 1, ... of the run with this seed: each has the seed's key, folded with its number.
-
-    A sweep without rounds is none: so fewer sweeps than temperatures need no program of their own.
-    """
-
-    def one(state: TissueState, this: tuple) -> tuple[TissueState, Trail]:
-        number, temperature, rounds, count = this
-        key = jax.random.fold_in(jax.random.key(seed), number)
-        state, info = sweep(key, state, model, temperature, near, rounds, count, lines)
-        positions = jnp.stack([state.place.axial, state.place.angle], axis=-1)
-        return state, Trail(state.volume, state.lateral_area, positions, info)
-
-    numbers = first + jnp.arange(len(temperatures))
-    return jax.lax.scan(one, state, (numbers, temperatures, *plan))
-
-
-def energy_terms(cells: CellGeometry, model: Model) -> tuple[Array, Array, Array]:
-    """Each cell's energy, and of it the paper's two terms."""
-    return model.cell_energy(cells, model), volume_elasticity(cells, model), lateral_tension(cells, model)
 
 
 class Annealer:
@@ -191,7 +113,6 @@ class Annealer:
         self._exactness = EXACT * float(jnp.finfo(dtype).eps) * float(self.model.mean_volume)
         self.compile_seconds = 0.0
         self._last: tuple[AnnealState, Measured] | None = None
-        self._around = 48
 
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
         """The state before the first sweep."""
@@ -199,13 +120,12 @@ class Annealer:
 
     def record(self, state: AnnealState) -> SweepRecord:
         """The row of a state as it is, such as the initial one."""
-        cells = self._measure(state).cells
-        return self._rows(state.sweep, (cells.volume[None], cells.lateral_area[None]), None, 0.0)[0]
+        return self._rows(state.sweep, self._measure(state).sizes, None, 0.0)[0]
 
     def advance(
         self, state: AnnealState
     ) -> tuple[AnnealState, list[SweepRecord], Float[np.ndarray, "sweeps n 2"]]:
-        """The sweeps up to the next that `SPAN` divides, or the schedule's last: a move for every cell in each.
+        """The sweeps up to the next that `SPAN` divides, or to the schedule's last.
 
         The new state, a row for each sweep, and the backbones after each.
         """
@@ -213,38 +133,36 @@ class Annealer:
         sweeps = min(SPAN - state.sweep % SPAN, len(self.temperatures) - state.sweep)
         after, trail, drift = self._play(state, self._rounds(state), sweeps)
         seconds = (time.perf_counter() - begin - (self.compile_seconds - compiled)) / sweeps
-        rows = self._rows(state.sweep + 1, (trail.volume, trail.lateral_area), trail.info, seconds)
+        sizes = np.stack([trail.volume, trail.lateral_area])
+        rows = self._rows(state.sweep + 1, sizes, trail.info, seconds)
         rows[-1] = rows[-1]._replace(drift=drift)
-        return after, rows, trail.positions
+        return after, rows, np.asarray(trail.positions)
 
     def _play(
         self, state: AnnealState, plan: list[Int[np.ndarray, "rounds width"]], sweeps: int
     ) -> tuple[AnnealState, Trail, float]:
         """Play the plan's rounds, sweep by sweep, on one set of candidate lists.
 
-        Where a cell turns out to have lacked a candidate, it is listed and all is played again; in two halves,
-        with lists renewed between them, where it was not even among those looked at before.
+        Where a cell turns out to have lacked a candidate, it is listed and all is played again; in two
+        halves, with lists renewed between them, where it was not even among those looked at before.
         """
         measured = self._measure(state)
         clear = measured.clear.copy()
         while True:
-            near = self._near(measured.sides, clear)
+            near = _shortlists(measured.sides, clear, state.widths[1])
             after, trail = self._play_on(near, state, plan, sweeps)
             fresh = self._measure(after)
             missing = self._missing(fresh, near, trail)
             if not len(missing):
                 break
-            if not _list_first(missing, measured.sides, clear):
+            if not list_first(missing, measured.sides, clear):
                 if sweeps == 1 and len(plan[0]) == 1:
                     break
                 self._last = state, measured
                 return self._play_halves(state, plan, sweeps)
-        sizes = (
-            (fresh.cells.volume[None], fresh.cells.lateral_area[None]),
-            (trail.volume[-1:], trail.lateral_area[-1:]),
-        )
-        energy, carried = (self._energies(*pair)[0, 0] for pair in sizes)
-        return after, trail, abs(energy - carried) / max(abs(energy), abs(carried), 1e-300)
+        carried = np.stack([trail.volume[-1:], trail.lateral_area[-1:]])
+        energies = [float(self._energies(sizes)[0, 0]) for sizes in (fresh.sizes, carried)]
+        return after, trail, abs(energies[0] - energies[1]) / max(*map(abs, energies), 1e-300)
 
     def _play_on(
         self,
@@ -265,23 +183,14 @@ class Annealer:
         lines = self._plan(len(state.positions))
         _, trail = self._run(play, *draw, tissue, self.model, temperatures, near, order, lines)
         trail = jax.tree.map(lambda leaf: np.asarray(leaf[:sweeps]), trail)
-        return AnnealState(state.sweep + sweeps, trail.positions[-1]), trail
+        widths = self._measure(state).sides.shape[2], near.around.shape[1]
+        return AnnealState(state.sweep + sweeps, trail.positions[-1], widths), trail
 
-    def _missing(self, fresh: Measured, near: Neighborhoods, trail: Trail) -> Int[np.ndarray, "missing 2"]:
-        """Cells that are stopped by one that their few candidates lacked, and are not as they were carried along;
-        and those who stop them."""
-        cell, side, at = np.nonzero(np.asarray(fresh.seen.touched))
-        rival = fresh.sides[cell, side, at]
-        listed = (np.asarray(near.sides)[cell, side] == rival[:, None]).any(axis=1)
-        off = [
-            np.abs(np.subtract(measured, carried[-1]))[cell]
-            for measured, carried in (
-                (fresh.cells.volume, trail.volume),
-                (fresh.cells.lateral_area, trail.lateral_area),
-            )
-        ]
-        stale = ~listed & (np.max(off, axis=0) > self._exactness)
-        return np.stack([cell, rival], axis=1)[stale]
+    def _missing(self, fresh: Measured, near: Neighborhoods, trail: Trail) -> Int[np.ndarray, "pairs 2"]:
+        """Cells not as they were carried along, and those who stop them without having been listed."""
+        off = np.abs(fresh.sizes[:, 0] - [trail.volume[-1], trail.lateral_area[-1]]).max(axis=0)
+        pairs = find_unlisted(np.asarray(fresh.seen.touched), fresh.sides, np.asarray(near.sides))
+        return pairs[off[pairs[:, 0]] > self._exactness]
 
     def _play_halves(self, state: AnnealState, plan: list, sweeps: int) -> tuple[AnnealState, Trail, float]:
         """Half of the sweeps, or of the one sweep's rounds, and the other half on new lists."""
@@ -297,15 +206,6 @@ class Annealer:
         info = jax.tree.map(lambda a, b: a + b, first.info, second.info)
         return after, second._replace(info=info), max(drift, more)
 
-    def _near(
-        self, sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"]
-    ) -> Neighborhoods:
-        """The candidates of a few sweeps, of those measured."""
-        few = nearest_sides(sides, clear, min(CANDIDATES, sides.shape[2]))
-        lists = around(few)
-        self._around = max(self._around, -(-lists.shape[1] // 16) * 16)  # only grows, and seldom
-        return Neighborhoods(padded(lists, self._around), few)
-
     def _plan(self, cells: int) -> Lines:
         return plan_lines(self.model.tube, cells, self.resolution, WINDOW)
 
@@ -314,23 +214,22 @@ class Annealer:
         if self._last and self._last[0].positions is state.positions:
             return self._last[1]
         place, tube = jnp.asarray(state.positions), self.model.tube
-        sides = self._find(place)
-        sparse_lines = plan_lines(tube, len(place), SPARSE)
-        lines = self._plan(len(place)), sparse_lines
+        sides = self._find(place, state.widths[0])
+        lines = self._plan(len(place)), plan_lines(tube, len(place), SPARSE)
         seen, clear = self._run(look, place, self.model, lines, sides)
         self._last = state, Measured(seen, sides, np.asarray(clear), contact_graph(sides, seen.touched))
         return self._last[1]
 
-    def _find(self, place: Float[Array, "n 2"]) -> Int[np.ndarray, "n 2 candidates"]:
-        """Complete candidate lists, wide enough for a run to keep its shapes."""
+    def _find(self, place: Float[Array, "n 2"], width: int) -> Int[np.ndarray, "n 2 candidates"]:
+        """Complete candidate lists, at least of a width."""
         begin, first = time.perf_counter(), self._last is None
         margin = MARGIN * float(move_bound(self.model, len(place)))
         sides = find_candidates(place, self.model.tube, margin)
         self.compile_seconds += (time.perf_counter() - begin) * first
-        return sides
+        return padded(sides, max(width, -(-sides.shape[2] // 24) * 24))
 
     def _rounds(self, state: AnnealState) -> list[Int[np.ndarray, "rounds width"]]:
-        """For each sweep of a chunk the cells in the order they are visited: one by one, or in independent sets."""
+        """For each sweep of a span the order of its moves: one by one, or in independent sets."""
         n = len(state.positions)
         if self.algorithm == "mh":
             orders = (np.random.default_rng([self.seed, state.sweep + k]).permutation(n) for k in range(SPAN))
@@ -354,51 +253,46 @@ class Annealer:
             self.compile_seconds += time.perf_counter() - begin
         return jax.block_until_ready(PROGRAMS[known](*arguments))
 
-    def _energies(self, volume: np.ndarray, lateral_area: np.ndarray) -> np.ndarray:
-        """The energy, and the paper's two terms of it, of each sweep, summed in double precision, [3, sweeps]."""
-        cells = CellGeometry(volume, lateral_area)
-        return np.array(
-            [np.sum(term, axis=1, dtype=float) for term in self._run(energy_terms, cells, self.model)]
-        )
+    def _energies(self, sizes: Float[np.ndarray, "2 sweeps n"]) -> Float[np.ndarray, "3 sweeps"]:
+        """Energy and the paper's two terms of it after each sweep, summed in double precision."""
+        terms = self._run(energy_terms, CellGeometry(*jnp.asarray(sizes)), self.model)
+        return np.array([np.sum(term, axis=1, dtype=float) for term in terms])
 
     def _rows(
-        self, first: int, sizes: tuple[np.ndarray, np.ndarray], info: SweepInfo | None, seconds: float
+        self, first: int, sizes: Float[np.ndarray, "2 sweeps n"], info: SweepInfo | None, seconds: float
     ) -> list[SweepRecord]:
-        count, cells = sizes[0].shape
-        padding = ((0, SPAN - count), (0, 0)) if info else ((0, 0), (0, 0))
-        terms = self._energies(*(np.pad(size, padding, mode="edge") for size in sizes))
+        """The rows of sweeps `first`, `first` + 1, ...; of a state as it is where nothing was done."""
+        count, cells = sizes.shape[1:]
+        spare = SPAN - count if info else 0
+        energies = self._energies(np.pad(sizes, ((0, 0), (0, spare), (0, 0)), mode="edge"))
         rows = []
-        for k, (energy, volume_energy, area_energy) in enumerate(terms.T[:count].tolist()):
+        for k in range(count):
             index = min(max(first + k - 1, 0), len(self.temperatures) - 1)
-            did = SweepInfo(*(leaf[k].item() for leaf in info)) if info else SweepInfo(0, 0, 0, 0, 0.0)
+            accepted, collisions, left_cell, rounds, _ = (
+                (leaf[k].item() for leaf in info) if info else 5 * [0]
+            )
             rows.append(
                 SweepRecord(
-                    sweep=first + k,
-                    energy=energy,
-                    volume_energy=volume_energy,
-                    area_energy=area_energy,
+                    first + k,
+                    *energies[:, k].tolist(),
                     temperature=float(self.temperatures[index]) if len(self.temperatures) else 0.0,
-                    acceptance=did.accepted / cells,
-                    rounds=did.rounds,
-                    collisions=did.collisions,
+                    acceptance=accepted / cells,
+                    rounds=rounds,
+                    collisions=collisions,
                     seconds=seconds,
-                    left_cell=did.left_cell,
+                    left_cell=left_cell,
                     drift=0.0,
                 )
             )
         return rows
 
 
-def _list_first(
-    missing: Int[np.ndarray, "missing 2"],
-    sides: Int[np.ndarray, "n 2 candidates"],
-    clear: Float[np.ndarray, "n 2 candidates"],
-) -> bool:
-    """Let pairs head each other's lists; whether any did not yet."""
-    news = False
-    for pair in missing:
-        for cell, rival in (pair, pair[::-1]):
-            here = sides[cell] == rival
-            news |= bool((clear[cell][here] >= 0).any())
-            clear[cell][here] = -1
-    return news
+def _shortlists(
+    sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"], width: int
+) -> Neighborhoods:
+    """The candidates of a few sweeps, and who is around each cell, at least of a width with room to grow."""
+    few = nearest_sides(sides, clear, min(CANDIDATES, sides.shape[2]))
+    lists = around(few)
+    if lists.shape[1] > width:
+        width = -(-int(1.1 * lists.shape[1]) // 16) * 16
+    return Neighborhoods(padded(lists, width), few)

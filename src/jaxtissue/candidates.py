@@ -1,7 +1,7 @@
 """Which backbones can bound which cell: candidate lists, kept complete by an exact sum.
 
-A list must hold every rival that stops a cell on some line; more only cost time. Complete lists are found among
-the backbones nearest along the axis. Of these a few sweeps need only those that can come to stop the cell.
+A list must hold every rival that stops a cell on some line; more only cost time. They are found among the
+backbones nearest along the axis.
 """
 
 import math
@@ -12,31 +12,13 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from scipy import sparse
 
-from jaxtissue.cells import (
-    BLOCK,
-    FAR,
-    LEVEL,
-    CellGeometry,
-    Grid,
-    Posts,
-    measure_cells,
-    larger,
-    meeting,
-    posts,
-    see_angles,
-    see_lines,
-    see_others,
-    see_rivals,
-    settled,
-    stop,
-    walls,
-)
-from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines
+from jaxtissue.cells import CellGeometry, measure_cells
+from jaxtissue.lines import PRESETS, Resolution, plan_lines
 from jaxtissue.tube import Tube
+from jaxtissue.walls import LEVEL, Posts, posts, see_angles, see_rivals, settled, stop, walls
 
 REACH = 2.5  # mean cell widths on either side of a backbone that a first window of lines covers
 NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
-TINY = 1e-30
 TILES = 1e-4  # relative defect of the lengths along a line above which lists are taken as incomplete
 
 _measure = jax.jit(measure_cells)
@@ -146,80 +128,6 @@ def padded(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.nda
     return np.concatenate([lists, more], axis=-1)
 
 
-def clearance(
-    positions: Float[Array, "n 2"], tube: Tube, lines: Lines, sides: Int[Array, "n 2 candidates"]
-) -> Float[Array, "n 2 candidates"]:
-    """How far each candidate would have to move, on the apical surface, to stop the cell on some of the lines
-    if it were not for the one who does.
-
-    To first order: d_j^2 - d_i^2 where the second in line would stop the cell, over its derivative,
-    2 sqrt((x - x_j)^2 + (r s sin(t - t_j) / R_a)^2). Squared, and infinite where there is none. Those listed on
-    the side where they are not yet are taken at the mirrored place. Who is far from stopping a cell now will be
-    for a while.
-    """
-    n, dtype = len(positions), positions.dtype
-    width = min(n, BLOCK)
-    blocks = -(-n // width)
-    place, lists = posts(positions), jnp.pad(sides, ((0, blocks * width - n), (0, 0), (0, 0)))
-    grid = jax.tree.map(lambda column: column[:, 0], see_lines(lines, tube, dtype))
-
-    def block(start: Array) -> Array:
-        which = start + jnp.arange(width)
-        those = lists[which].transpose(2, 1, 0)
-        own, others = (Posts(*(column[at] for column in place)) for at in (which, those))
-        ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
-        rivals, is_ahead = settled(lambda: see_others(own, others, those < which, tube), truth)
-        on_side = is_ahead == jnp.array([False, True])[:, None]
-
-        def nearer(least: Array, at: Grid) -> tuple[Array, None]:
-            meets = settled(lambda: meeting(at, rivals, tube), truth)
-            here = jnp.where(on_side, meets, FAR)
-            first = jnp.minimum(here.min(axis=0), ends)
-            second = jnp.minimum(jnp.where(here > first, here, FAR).min(axis=0), ends)
-            z, y = at.z * rivals.cosine + at.y * rivals.sine, at.y * rivals.cosine - at.z * rivals.sine
-            around = larger(z, tube.apical_radius) * y / tube.apical_radius
-            speed = (second - 2 * rivals.half) ** 2 + around**2
-            way = (larger(meets - second, 0.0) * 2 * rivals.half) ** 2 / larger(speed, TINY)
-            return jnp.where((first.sum(axis=0) > 0) & (way < least), way, least), None
-
-        least, _ = jax.lax.scan(nearer, jnp.full(rivals.half.shape, jnp.inf, dtype), grid)
-        return jnp.where(rivals.half < FAR, least, jnp.inf).transpose(2, 1, 0)
-
-    least = jax.lax.map(block, width * jnp.arange(blocks))
-    return least.reshape(blocks * width, *sides.shape[1:])[:n]
-
-
-def nearest_sides(
-    sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"], count: int
-) -> Int[np.ndarray, "n 2 count"]:
-    """The `count` candidates on each side whose walls are nearest to the cell."""
-    if sides.shape[2] > count:
-        kept = np.argpartition(clear, count - 1, axis=2)[..., :count]
-        sides, clear = (np.take_along_axis(table, kept, axis=2) for table in (sides, clear))
-    own = np.arange(len(sides), dtype=sides.dtype)[:, None, None]
-    return padded(np.where(np.isfinite(clear), sides, own), count)
-
-
-def around(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n around"]:
-    """Of each cell all who have it among their candidates, and its own; padded with itself."""
-    n = len(sides)
-    one = np.repeat(np.arange(n), sides[0].size), sides.reshape(-1)
-    graph = sparse.coo_array((np.ones(len(one[0]), bool), one), shape=(n, n)).tocsr()
-    graph = (graph + graph.T).tocsr()
-    graph.setdiag(False)
-    graph.eliminate_zeros()
-    return packed_rows(graph)
-
-
-def packed_rows(graph: sparse.csr_array) -> Int[np.ndarray, "n width"]:
-    """The columns of each row as a list, padded with the row's own number."""
-    sizes = np.diff(graph.indptr)
-    lists = np.repeat(np.arange(len(sizes), dtype=np.int32)[:, None], max(sizes.max(initial=0), 2), axis=1)
-    rows = np.repeat(np.arange(len(sizes)), sizes)
-    lists[rows, np.arange(len(rows)) - np.repeat(graph.indptr[:-1], sizes)] = graph.indices
-    return lists
-
-
 @jax.jit
 def tiling_defect(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube, sides: Int[Array | np.ndarray, "n 2 candidates"]
@@ -236,7 +144,8 @@ def tiling_defect(
     own, others = place, Posts(*(column[lists] for column in place))
     offset = jnp.mod(jnp.tile(angle, 5)[:, None] - own.angle + np.pi, 2 * np.pi) - np.pi
     ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
-    rivals = settled(lambda: see_rivals(own, others, lists < jnp.arange(len(positions)), tube), truth)
+    first = jnp.asarray(lists < np.arange(len(positions)))
+    rivals = settled(lambda: see_rivals(own, others, first, tube), truth)
     grid = see_angles(radius, offset, tube)
     by = stop(grid, rivals, ends, tube, truth)
     length = walls(by, rivals, ends, grid, tube, truth).reach.sum(axis=1)

@@ -215,7 +215,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     try:
         with np.load(path, allow_pickle=False) as file:
             data = dict(file)
-        state = AnnealState(int(data["sweep"]), data["positions"])
+        state = AnnealState(int(data["sweep"]), data["positions"], tuple(data["widths"].tolist()))
         return Checkpoint(state, data["kept_sweeps"], data["kept_positions"])
     except FileNotFoundError as error:
         raise ValueError(f"{path.parent} has no checkpoint to resume; leave --resume out") from error

@@ -49,9 +49,10 @@ class Lines(eqx.Module):
 
     Layer k lies at radius r_k, a Gauss-Legendre node of (R_a, R_b). There, backbone i is given the lines at
     angles t_i + m 2 pi / circle[k], in windows of |m| <= half[k] and, for a cell that goes on beyond, in the
-    windows to either side. So every cell sees its own backbone's line, and what is measured depends neither on
-    how the tube is turned nor on how wide the windows are. With `surfaces`, two more layers lie on the apical and basal surface.
-    `circle` is traced, only the windows' widths are static: tubes of other radii need no new program.
+    windows to either side. So every cell sees its own backbone's line, and what is measured depends neither
+    on how the tube is turned nor on how wide the windows are. With `surfaces`, two more layers lie on the
+    apical and basal surface. `circle` is traced, only the windows' widths are static: tubes of other radii
+    need no new program.
     """
 
     circle: Float[Array | np.ndarray, "layers"]
@@ -74,11 +75,11 @@ class Lines(eqx.Module):
         return len(self.half) - 2 * self.surfaces
 
     def offset(self, dtype: DTypeLike, shift: Array | int = 0) -> Float[Array, "lines"]:
-        """Angle of each line from the backbone's; `shift` counts windows onward, each begins where one ends."""
+        """Angle of each line from the backbone's, in the window `shift` windows onward."""
         return 2 * math.pi * self._shifted(dtype, shift) / self._circle(dtype)
 
     def step(self, dtype: DTypeLike, shift: Array | int = 0) -> Float[Array, "lines"]:
-        """Angle from each line to the next of its layer, 0 where that is not in the window or round the circle."""
+        """Angle from each line to the next of its layer, 0 where there is none in window and circle."""
         circle, number = self._circle(dtype), self._shifted(dtype, shift)
         first = -jnp.floor(circle / 2)
         within = (number >= first) & (number < first + circle) & (self.number < self._half)
@@ -100,16 +101,16 @@ class Lines(eqx.Module):
         return np.array(self.half)[self.layer]
 
     def _shifted(self, dtype: DTypeLike, shift: Array | int) -> Float[Array, "lines"]:
-        return (self.number + 2 * self._half * shift).astype(dtype)
+        return jnp.asarray(self.number + 2 * self._half * shift, dtype)
 
     def _circle(self, dtype: DTypeLike) -> Float[Array, "lines"]:
-        return jnp.asarray(self.circle, dtype)[self.layer]
+        return jnp.asarray(self.circle, dtype)[jnp.asarray(self.layer)]
 
 
 def plan_lines(
     tube: Tube, cells: int, resolution: Resolution, reach: float = 2.5, surfaces: bool = False
 ) -> Lines:
-    """The lines for a tube of `cells` cells, in windows of `reach` mean cell widths on either side of a backbone.
+    """The lines for a tube of `cells` cells, in windows of `reach` mean cell widths to either side.
 
     The mean cell width at radius r is sqrt(2 pi r L / n). At least 16 lines run once round every layer;
     the two surfaces, which carry no volume, have half as many lines again.

@@ -16,10 +16,11 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from jaxtissue import io
-from jaxtissue.anneal import SPAN, Annealer, AnnealState, has_stalled
+from jaxtissue.anneal import SPAN, Annealer, AnnealState
 from jaxtissue.candidates import measure_tissue
 from jaxtissue.lines import PRESETS, resolution_named
 from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes
+from jaxtissue.schedules import has_stalled
 from jaxtissue.settings import Settings, now, provenance
 from jaxtissue.statistics import find_connectivity
 from jaxtissue.stopping import Stop
@@ -47,8 +48,8 @@ class Run:
     def save(self) -> None:
         """Write the checkpoint; the rows of sweeps.csv up to it must be on the disk before.
 
-        Only between spans of sweeps, where a longer run would be too: the odd sweeps at a run's end are played
-        again if it goes on.
+        Only between spans of sweeps, where a longer run would be too: the odd sweeps at a run's end are
+        played again if it goes on.
         """
         if self.state.sweep % SPAN:
             return

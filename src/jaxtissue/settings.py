@@ -14,9 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxtissue.anneal import Annealer, constant_schedule, geometric_schedule
+from jaxtissue.anneal import Annealer
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import resolution_named
+from jaxtissue.schedules import constant_schedule, geometric_schedule
 from jaxtissue.tube import Tube
 
 

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxtissue.anneal import Annealer, SweepRecord, constant_schedule
+from jaxtissue.anneal import Annealer, SweepRecord
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import PRESETS
 from jaxtissue.sampling import cylindrical_voxels
+from jaxtissue.schedules import constant_schedule
 from jaxtissue.tube import Tube
 from jaxtissue.voronoi import nearest_backbones
 

@@ -1,0 +1,196 @@
+"""What a round of moves would change: which cells, what they become, what it costs, who is in whose way."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxtissue.cells import CellGeometry, Survey, measure_window, note_onward, through_windows
+from jaxtissue.energy import Model
+from jaxtissue.lines import Lines
+from jaxtissue.walls import LEVEL, Posts, Rivals, meeting, posts, see_lines
+
+ITEMS = 72  # cells measured at once, 8 times an odd number as in `cells`
+ROOM = 20  # cells that a move may change, on average over a round: twice as many as it does
+
+
+class Neighborhoods(NamedTuple):
+    """Who may bound whom, padded with the cell itself; fixed during a sweep."""
+
+    around: Int[Array | np.ndarray, "n around"]  # all who have the cell among their candidates, or it has
+    sides: Int[Array | np.ndarray, "n 2 candidates"]  # candidates behind and ahead
+
+
+class TissueState(NamedTuple):
+    """Backbones and what is known of their cells: sizes, and the reaches a move must undercut to matter."""
+
+    place: Posts
+    volume: Float[Array, "n"]
+    lateral_area: Float[Array, "n"]
+    reach: Float[Array, "n 2 lines"]  # in the middle window
+    wide: Bool[Array, "n"]  # the cell goes on beyond it
+
+
+class Changes(NamedTuple):
+    """The cells a round's moves would change, packed: whose move, which cell, and what they become."""
+
+    item: Int[Array, "items"]  # place in the table of movers and cells around them
+    move: Int[Array, "items"]
+    cell: Int[Array, "items"]
+    total: Int[Array, ""]
+    volume: Float[Array, "items"]
+    lateral_area: Float[Array, "items"]
+    reach: Float[Array, "items 2 lines"]
+    wide: Bool[Array, "items"]
+    onward: Bool[Array, "items 2"]
+
+
+def tissue_state(positions: Float[Array, "n 2"], seen: Survey) -> TissueState:
+    """The state of a tissue that was measured."""
+    sizes = seen.sizes
+    return TissueState(posts(positions), sizes.volume, sizes.lateral_area, seen.reach, seen.wide)
+
+
+def pick(place: Posts, which: Array) -> Posts:
+    """The backbones of the given numbers."""
+    return Posts(*(column[which] for column in place))
+
+
+def members(movers: Array, near: Neighborhoods) -> Int[Array, "width candidates+1"]:
+    """A mover's candidates, and (last) itself."""
+    return jnp.concatenate([near.around[movers], movers[:, None]], axis=1)
+
+
+def find_changed(
+    movers: Array, state: TissueState, proposed: Posts, near: Neighborhoods, rules: tuple[Model, Lines]
+) -> tuple[Bool[Array, "width around+1"], Bool[Array, "width around+1"]]:
+    """Which of the cells around a mover, and (last) itself, its move changes, and which else it might.
+
+    A cell changes where the mover stops it now, or would stop it short of its present reach. The first test
+    has a tolerance: a cell more is measured for nothing, a cell less would be a stale one. Of a cell that
+    goes on beyond its middle window that is not known.
+    """
+    model, lines = rules
+    cells = near.around[movers]
+    pairs = cells.ravel()
+    own, reach = pick(state.place, pairs[:, None]), state.reach[pairs]
+    grid = jax.tree.map(lambda table: table[:, 0], see_lines(lines, model.tube, reach.dtype))
+    facing = jnp.where(reach > -jnp.inf, reach + 1e-5 * (model.tube.length + jnp.abs(reach)), reach)
+
+    def undercuts(movers: Posts, facing: Array) -> Array:
+        mover = Posts(*(jnp.repeat(column, cells.shape[1])[:, None] for column in movers))
+        gap, cosine = mover.axial - own.axial, mover.cosine * own.cosine + mover.sine * own.sine
+        sine = mover.sine * own.cosine - mover.cosine * own.sine
+        level = LEVEL * model.tube.apical_radius * jnp.sqrt(sine**2 + (1 - cosine) ** 2)
+        half = jnp.maximum(jnp.maximum(jnp.abs(gap), level), 1e-30) / 2
+        meets = meeting(grid, Rivals(half, 0.25 / half, cosine, sine), model.tube)
+        # one that is level may change sides
+        both = jnp.abs(gap) <= level
+        behind, ahead = facing[:, 0], facing[:, 1]
+        return meets <= jnp.where(both, jnp.maximum(behind, ahead), jnp.where(gap > 0, ahead, behind))
+
+    touched = undercuts(pick(state.place, movers), facing) | undercuts(pick(proposed, movers), reach)
+    touched = (jnp.where(touched, 1.0, 0.0).max(axis=1) > 0).reshape(cells.shape)
+    real = (cells != movers[:, None]) & (movers >= 0)[:, None]
+    perhaps = real & ~touched & state.wide[cells]
+    moves = (movers >= 0)[:, None]
+    touched = jnp.concatenate([real & touched, moves], axis=1)
+    return touched, jnp.concatenate([perhaps, jnp.zeros_like(moves)], axis=1)
+
+
+def room(changed: Bool[Array, "width around+1"]) -> int:
+    """The most cells that the moves of a round may change together; all around one, at least."""
+    return min(changed.size, max(changed.shape[1], ROOM * changed.shape[0]))
+
+
+def find_collisions(changed: Array, movers: Array, near: Neighborhoods) -> Bool[Array, "width"]:
+    """Moves that would change a cell which an earlier move of the round changes too."""
+    n, width = len(near.around), len(movers)
+    order = jnp.arange(width)[:, None]
+    cells = members(movers, near)
+    first = (
+        jnp.full(n, width)
+        .at[jnp.where(changed, cells, n)]
+        .min(jnp.broadcast_to(order, cells.shape), mode="drop")
+    )
+    return (changed & (first[cells] < order)).any(axis=1)
+
+
+def measure_changes(
+    changed: Array,
+    movers: Array,
+    state: TissueState,
+    proposed: Posts,
+    near: Neighborhoods,
+    rules: tuple[Model, Lines],
+) -> Changes:
+    """Measure every changed cell as if its one move were made, in as many blocks as it takes."""
+    model, lines = rules
+    size = room(changed)
+    places = jnp.arange(changed.size)
+    item = jax.lax.sort(jnp.where(changed.ravel(), places, changed.size))[:size]
+    item = jnp.minimum(item, changed.size - 1)
+    move, cell = item // changed.shape[1], members(movers, near).ravel()[item]
+    total = changed.sum(dtype=jnp.int32)
+    blank = jnp.zeros(size, state.volume.dtype)
+    reach = jnp.zeros((size, *state.reach.shape[1:]), blank.dtype)
+    start = Changes(item, move, cell, total, blank, blank, reach, blank > 0, jnp.zeros((size, 2), bool))
+
+    def measure(items: Array, shift: Array, done: Changes) -> Changes:
+        mover, which = movers[move[items]], cell[items]
+        rivals = near.sides[which].transpose(2, 1, 0)
+
+        def moved(index: Array) -> Posts:
+            return jax.tree.map(
+                lambda old, new: jnp.where(index == mover, new[mover], old[index]), state.place, proposed
+            )
+
+        window = measure_window(moved(which), moved(rivals), rivals < which, model.tube, lines, shift)
+        onward = note_onward(items, shift, window, done.onward)
+        at = jnp.where(shift == 0, items, size)
+        return done._replace(
+            volume=done.volume.at[items].add(window.sizes.volume, mode="drop"),
+            lateral_area=done.lateral_area.at[items].add(window.sizes.lateral_area, mode="drop"),
+            reach=done.reach.at[at].set(jnp.moveaxis(window.reach, -1, 0).swapaxes(1, 2), mode="drop"),
+            wide=done.wide.at[at].set(window.onward.any(axis=0), mode="drop"),
+            onward=onward,
+        )
+
+    return through_windows(measure, total, size, ITEMS, start)
+
+
+def drop_unchanged(
+    changes: Changes, touched: Bool[Array, "width around+1"], state: TissueState, model: Model
+) -> Bool[Array, "items"]:
+    """Which of the cells measured their move changes: those touched, and of the others those that differ."""
+    tiny = 1000 * jnp.finfo(state.volume.dtype).eps * model.mean_volume
+    differs = jnp.abs(changes.volume - state.volume[changes.cell]) > tiny
+    differs |= jnp.abs(changes.lateral_area - state.lateral_area[changes.cell]) > tiny
+    return (touched.ravel()[changes.item] | differs) & (jnp.arange(len(changes.item)) < changes.total)
+
+
+def local_differences(
+    changes: Changes, real: Bool[Array, "items"], state: TissueState, model: Model, width: int
+) -> Float[Array, "width"]:
+    """Energy difference of each move: the sum over the cells it changes."""
+    new = model.cell_energy(CellGeometry(changes.volume, changes.lateral_area), model)
+    old = model.cell_energy(CellGeometry(state.volume[changes.cell], state.lateral_area[changes.cell]), model)
+    own = changes.move == jnp.arange(width)[:, None]
+    return jnp.where(own & real, new - old, 0).sum(axis=1)
+
+
+def apply(
+    changes: Changes, accepted: Bool[Array, "items"], movers: Array, proposed: Posts, state: TissueState
+) -> TissueState:
+    """The state after the accepted moves, with the changes that belong to them."""
+    n = len(state.volume)
+    cell = jnp.where(accepted, changes.cell, n)
+    return TissueState(
+        jax.tree.map(lambda old, new: old.at[movers].set(new[movers], mode="drop"), state.place, proposed),
+        state.volume.at[cell].set(changes.volume, mode="drop"),
+        state.lateral_area.at[cell].set(changes.lateral_area, mode="drop"),
+        state.reach.at[cell].set(changes.reach, mode="drop"),
+        state.wide.at[cell].set(changes.wide, mode="drop"),
+    )

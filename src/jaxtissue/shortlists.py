@@ -1,0 +1,119 @@
+"""Shortlists: of all candidates the few that can come to stop a cell within a few sweeps.
+
+Whether they were enough shows afterwards: whoever stops a cell then must have been listed.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from scipy import sparse
+
+from jaxtissue.candidates import padded
+from jaxtissue.cells import BLOCK
+from jaxtissue.lines import Lines
+from jaxtissue.tube import Tube
+from jaxtissue.walls import FAR, Grid, Posts, larger, meeting, posts, see_lines, see_others, settled
+
+TINY = 1e-30
+
+
+def clearance(
+    positions: Float[Array, "n 2"], tube: Tube, lines: Lines, sides: Int[Array, "n 2 candidates"]
+) -> Float[Array, "n 2 candidates"]:
+    """How far each candidate would have to move, on the apical surface, to stop the cell on some of the lines
+    if it were not for the one who does.
+
+    To first order: d_j^2 - d_i^2 where the second in line would stop the cell, over its derivative,
+    2 sqrt((x - x_j)^2 + (r s sin(t - t_j) / R_a)^2). Squared, and infinite where there is none. Those listed
+    on the side where they are not yet are taken at the mirrored place. Who is far from stopping a cell now
+    will be for a while.
+    """
+    n, dtype = len(positions), positions.dtype
+    width = min(n, BLOCK)
+    blocks = -(-n // width)
+    place, lists = posts(positions), jnp.pad(sides, ((0, blocks * width - n), (0, 0), (0, 0)))
+    grid = jax.tree.map(lambda column: column[:, 0], see_lines(lines, tube, dtype))
+
+    def block(start: Array) -> Array:
+        which = start + jnp.arange(width)
+        those = lists[which].transpose(2, 1, 0)
+        own, others = (Posts(*(column[at] for column in place)) for at in (which, those))
+        ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
+        rivals, is_ahead = settled(lambda: see_others(own, others, those < which, tube), truth)
+        on_side = is_ahead == jnp.array([False, True])[:, None]
+
+        def nearer(least: Array, at: Grid) -> tuple[Array, None]:
+            meets = settled(lambda: meeting(at, rivals, tube), truth)
+            here = jnp.where(on_side, meets, FAR)
+            first = jnp.minimum(here.min(axis=0), ends)
+            second = jnp.minimum(jnp.where(here > first, here, FAR).min(axis=0), ends)
+            z, y = at.z * rivals.cosine + at.y * rivals.sine, at.y * rivals.cosine - at.z * rivals.sine
+            around = larger(z, tube.apical_radius) * y / tube.apical_radius
+            speed = (second - 2 * rivals.half) ** 2 + around**2
+            way = (larger(meets - second, 0.0) * 2 * rivals.half) ** 2 / larger(speed, TINY)
+            return jnp.where((first.sum(axis=0) > 0) & (way < least), way, least), None
+
+        least, _ = jax.lax.scan(nearer, jnp.full(rivals.half.shape, jnp.inf, dtype), grid)
+        return jnp.where(rivals.half < FAR, least, jnp.inf).transpose(2, 1, 0)
+
+    least = jax.lax.map(block, width * jnp.arange(blocks))
+    return least.reshape(blocks * width, *sides.shape[1:])[:n]
+
+
+def nearest_sides(
+    sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"], count: int
+) -> Int[np.ndarray, "n 2 count"]:
+    """The `count` candidates on each side whose walls are nearest to the cell."""
+    if sides.shape[2] > count:
+        kept = np.argpartition(clear, count - 1, axis=2)[..., :count]
+        sides, clear = (np.take_along_axis(table, kept, axis=2) for table in (sides, clear))
+    own = np.arange(len(sides), dtype=sides.dtype)[:, None, None]
+    return padded(np.where(np.isfinite(clear), sides, own), count)
+
+
+def around(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n around"]:
+    """Of each cell all who have it among their candidates, and its own; padded with itself."""
+    n = len(sides)
+    one = np.repeat(np.arange(n), sides[0].size), sides.reshape(-1)
+    graph = sparse.coo_array((np.ones(len(one[0]), bool), one), shape=(n, n)).tocsr()
+    graph = (graph + graph.T).tocsr()
+    graph.setdiag(False)
+    graph.eliminate_zeros()
+    return packed_rows(graph)
+
+
+def packed_rows(graph: sparse.csr_array) -> Int[np.ndarray, "n width"]:
+    """The columns of each row as a list, padded with the row's own number."""
+    sizes = np.diff(graph.indptr)
+    lists = np.repeat(np.arange(len(sizes), dtype=np.int32)[:, None], max(sizes.max(initial=0), 2), axis=1)
+    rows = np.repeat(np.arange(len(sizes)), sizes)
+    lists[rows, np.arange(len(rows)) - np.repeat(graph.indptr[:-1], sizes)] = graph.indices
+    return lists
+
+
+def find_unlisted(
+    touched: Bool[np.ndarray, "n 2 candidates"],
+    sides: Int[np.ndarray, "n 2 candidates"],
+    few: Int[np.ndarray, "n 2 few"],
+) -> Int[np.ndarray, "pairs 2"]:
+    """Cells and those who stop them without being on their shortlists."""
+    cell, side, at = np.nonzero(touched)
+    rival = sides[cell, side, at]
+    listed = (few[cell, side] == rival[:, None]).any(axis=1)
+    return np.stack([cell, rival], axis=1)[~listed]
+
+
+def list_first(
+    pairs: Int[np.ndarray, "pairs 2"],
+    sides: Int[np.ndarray, "n 2 candidates"],
+    clear: Float[np.ndarray, "n 2 candidates"],
+) -> bool:
+    """Let pairs head each other's shortlists, by their clearance; whether any did not yet."""
+    news = False
+    for pair in pairs:
+        for cell, rival in (pair, pair[::-1]):
+            here = sides[cell] == rival
+            news |= bool((clear[cell][here] >= 0).any())
+            clear[cell][here] = -1
+    return news

@@ -1,0 +1,66 @@
+"""The compiled parts of annealing: a look at a whole tissue, and a span of sweeps on what was seen."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxtissue.cells import CellGeometry, Survey, measure_cells
+from jaxtissue.changes import Neighborhoods, TissueState
+from jaxtissue.energy import Model, lateral_tension, volume_elasticity
+from jaxtissue.lines import Lines
+from jaxtissue.metropolis import SweepInfo, sweep
+from jaxtissue.shortlists import clearance
+
+
+class Trail(NamedTuple):
+    """Sweep by sweep: sizes and backbones after each, and what it did, [sweeps, ...]."""
+
+    volume: Float[Array | np.ndarray, "sweeps n"]
+    lateral_area: Float[Array | np.ndarray, "sweeps n"]
+    positions: Float[Array | np.ndarray, "sweeps n 2"]
+    info: SweepInfo
+
+
+def look(
+    positions: Float[Array, "n 2"],
+    model: Model,
+    lines: tuple[Lines, Lines],
+    sides: Int[Array, "n 2 candidates"],
+) -> tuple[Survey, Float[Array, "n 2 candidates"]]:
+    """Measure a whole tissue, and on fewer lines how clear of each cell its candidates are."""
+    _, seen = measure_cells(positions, model.tube, lines[0], sides)
+    return seen, jnp.where(seen.touched, -1, clearance(positions, model.tube, lines[1], sides))
+
+
+def play(
+    seed: Int[Array, ""],
+    first: Int[Array, ""],
+    state: TissueState,
+    model: Model,
+    temperatures: Float[Array, "sweeps"],
+    near: Neighborhoods,
+    plan: tuple[Int[Array, "sweeps rounds width"], Int[Array, "sweeps"]],
+    lines: Lines,
+) -> tuple[TissueState, Trail]:
+    """Sweeps `first`, `first` + 1, ... of the run with this seed, each with a key of its own number.
+
+    A sweep without rounds is none: so fewer sweeps than temperatures need no program of their own.
+    """
+
+    def one(state: TissueState, this: tuple) -> tuple[TissueState, Trail]:
+        number, temperature, rounds, count = this
+        key = jax.random.fold_in(jax.random.key(seed), number)
+        state, info = sweep(key, state, model, temperature, near, rounds, count, lines)
+        positions = jnp.stack([state.place.axial, state.place.angle], axis=-1)
+        return state, Trail(state.volume, state.lateral_area, positions, info)
+
+    numbers = first + jnp.arange(len(temperatures))
+    return jax.lax.scan(one, state, (numbers, temperatures, *plan))
+
+
+def energy_terms(cells: CellGeometry, model: Model) -> tuple[Array, Array, Array]:
+    """Each cell's energy, and of it the paper's two terms."""
+    return model.cell_energy(cells, model), volume_elasticity(cells, model), lateral_tension(cells, model)

@@ -1,0 +1,230 @@
+"""Where cells end: on each line parallel to the axis the walls against the nearest rivals behind and ahead.
+
+On a line of constant radius r and angle t the squared distance to backbone j is (x - x_j)^2 + f_j, with
+f_j = y^2 + (s - z)^2, z = r cos(t - t_j), y = r sin(t - t_j), s = max(z, R_a) the radius of the foot. So a
+cell is one interval on each line; seen from x_i it ends where the nearest rival takes over, at a *reach* of
+h = |x_j - x_i| / 2 + (f_j - f_i) / (2 |x_j - x_i|) ahead (x_j > x_i) and behind, two mirrored sides. Between
+two lines each side is taken as the two tangents of the walls h(t), whose slope and tilt are closed forms.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float, Int
+
+from jaxtissue.lines import Lines
+from jaxtissue.tube import Tube
+
+LEVEL = 1e-3  # slope against the axis given to walls that are closer to parallel to it
+END = -1
+FAR = 1e30  # beyond any tube, and finite: its lowest bits may be changed
+CHUNK = 24  # candidates compared in one unrolled loop
+T = TypeVar("T")
+
+
+class Posts(NamedTuple):
+    """Backbones as their axial place, angle, and its cosine and sine, all of one shape."""
+
+    axial: Array
+    angle: Array
+    cosine: Array
+    sine: Array
+
+
+class Grid(NamedTuple):
+    """Lines as seen from a backbone, [lines, 1 or cells]."""
+
+    radius: Array
+    z: Array
+    y: Array
+    foot: Array  # radius of the own foot s
+    square: Array  # squared distance f to it
+
+
+class Rivals(NamedTuple):
+    """Each cell against its candidates behind and ahead, [candidates, 2, cells]; half is FAR for no rival."""
+
+    half: Array  # |x_j - x_i| / 2
+    slant: Array  # 1 / (4 half)
+    cosine: Array  # of t_j - t_i
+    sine: Array
+
+
+class Walls(NamedTuple):
+    """The walls that end each cell on each line, behind and ahead, [lines, 2, cells]."""
+
+    reach: Array
+    slope: Array  # dh/dt
+    area: Array  # wall area per r dr dt; 0 at the tube's end
+    edge: Array  # wall length on the layer per r dt
+
+
+def settled(compute: Callable[[], T], truth: Array) -> T:
+    """Compute, behind a branch that is always taken, which XLA's fusion can't cross.
+
+    Else the CPU compiler repeats a stage inside every consumer of the next: 2.5 times slower as measured.
+    `truth` is true, but not known to the compiler.
+    """
+    empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(compute))
+    return jax.lax.cond(truth, compute, lambda: empty)
+
+
+def larger(first: Array, second: Array | float) -> Array:
+    """The larger of two, in one instruction: `jnp.maximum` takes more to treat what is not a number."""
+    return jnp.where(first > second, first, second)
+
+
+def posts(positions: Float[Array | np.ndarray, "... 2"]) -> Posts:
+    """The backbones at (axial, angle) positions."""
+    angle = positions[..., 1]
+    return Posts(jnp.asarray(positions[..., 0]), jnp.asarray(angle), jnp.cos(angle), jnp.sin(angle))
+
+
+def see_lines(lines: Lines, tube: Tube, dtype: np.dtype, shift: Array | int = 0) -> Grid:
+    """The lines round each backbone."""
+    radius = lines.radii(tube)[0].astype(dtype)[lines.layer][:, None]
+    return see_angles(radius, lines.offset(dtype, shift)[:, None], tube)
+
+
+def see_angles(radius: Array, offset: Array, tube: Tube) -> Grid:
+    """Lines at the given radii and angles from the backbones."""
+    z, y = radius * jnp.cos(offset), radius * jnp.sin(offset)
+    foot = jnp.maximum(z, tube.apical_radius)
+    return Grid(radius, z, y, foot, y * y + (foot - z) ** 2)
+
+
+def see_others(own: Posts, others: Posts, first: Array, tube: Tube) -> tuple[Rivals, Array]:
+    """The others as rivals, whatever side they are on, and whether each lies ahead.
+
+    No wall may be parallel to the axis: of two backbones at the same height the one that is `first` counts as
+    lying behind, and all are taken as LEVEL times their distance apart along the axis.
+    """
+    cosine = others.cosine * own.cosine + others.sine * own.sine
+    sine = others.sine * own.cosine - others.cosine * own.sine
+    gap = others.axial - own.axial
+    # exactly 0 for the cell itself, which pads the lists
+    chord = jnp.sqrt((others.cosine - own.cosine) ** 2 + (others.sine - own.sine) ** 2)
+    apart = jnp.maximum(jnp.abs(gap), LEVEL * tube.apical_radius * chord)
+    half = jnp.where(apart > 0, apart / 2, FAR)
+    return Rivals(half, 0.25 / half, cosine, sine), (gap > 0) | ((gap == 0) & ~first)
+
+
+def see_rivals(own: Posts, others: Posts, first: Array, tube: Tube) -> Rivals:
+    """The rivals among the candidates [candidates, 2, cells], FAR if they lie on the other side."""
+    rivals, is_ahead = see_others(own, others, first, tube)
+    half = jnp.where(is_ahead == jnp.array([False, True])[:, None], rivals.half, FAR)
+    return rivals._replace(half=half, slant=0.25 / half)
+
+
+def meeting(grid: Grid, rival: Rivals, tube: Tube) -> Array:
+    """The reach h = |dx| / 2 + (f_j - f_i) / (2 |dx|) against rivals, on lines."""
+    z, y = grid.z * rival.cosine + grid.y * rival.sine, grid.y * rival.cosine - grid.z * rival.sine
+    inward = larger(tube.apical_radius - z, 0.0)
+    return rival.half + (y * y + inward * inward - grid.square) * rival.slant
+
+
+def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> Int[Array, "lines 2 cells"]:
+    """Who stops each cell on each line, behind and ahead; END: the tube.
+
+    The candidate's number rides in the lowest bits of its reach, so that one value is carried along (two
+    would each repeat the loop). That blurs the choice, not the reach, by about 1e-5.
+    """
+    candidates, _, cells = rivals.half.shape
+    bits = next(bits for bits in (5, 7, 10, 16) if candidates <= 1 << bits)  # not to depend on padding
+    integer = jnp.int64 if ends.dtype == jnp.float64 else jnp.int32
+    recast = jax.lax.bitcast_convert_type
+    line = jax.tree.map(lambda table: table[:, None], grid)
+
+    def nearer(least: Array, among: Rivals, first: Array | int) -> Array:
+        for number in range(len(among.half)):
+            reach = meeting(line, jax.tree.map(lambda table, at=number: table[at], among), tube)
+            coded = recast((recast(reach, integer) & (-1 << bits)) | (first + number), ends.dtype)
+            least = jnp.where(coded < least, coded, least)
+        return least
+
+    start = jnp.broadcast_to(ends, (len(grid.z), 2, cells))
+    if candidates <= CHUNK:
+        least = settled(lambda: nearer(start, rivals, 0), truth)
+    else:
+        chunks = -(-candidates // CHUNK)
+        spare = ((0, chunks * CHUNK - candidates), (0, 0), (0, 0))
+        tables = Rivals(
+            *(
+                jnp.pad(table, spare, constant_values=nobody).reshape(chunks, CHUNK, 2, cells)
+                for table, nobody in zip(rivals, (FAR, 0.0, 0.0, 0.0), strict=True)
+            )
+        )
+        first = CHUNK * jnp.arange(chunks, dtype=integer)
+        least, _ = jax.lax.scan(lambda least, some: (nearer(least, *some), None), start, (tables, first))
+    winner = (recast(least, integer) & ((1 << bits) - 1)).astype(jnp.int32)
+    return jnp.where(least < ends, winner, END)
+
+
+def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth: Array) -> Walls:
+    """Reach, slope and tilt of the walls that end each cell, against the rival there.
+
+    A rival is e^(i turn) / half, one complex number: gathering three real ones takes 3 times as long.
+    """
+    cells = by.shape[-1]
+    rival = (jax.lax.complex(rivals.cosine, rivals.sine) / rivals.half).ravel()
+    at = jnp.maximum(by, 0) * (2 * cells) + jnp.arange(2 * cells, dtype=by.dtype).reshape(2, cells)
+    facing = settled(lambda: rival.at[at].get(mode="promise_in_bounds"), truth)
+
+    def wall() -> Walls:
+        line, end = jax.tree.map(lambda table: table[:, None], grid), by == END
+        real, imaginary = jnp.where(end, 1, facing.real), jnp.where(end, 0, facing.imag)
+        half = jax.lax.rsqrt(real**2 + imaginary**2)
+        cosine, sine = real * half, imaginary * half
+        z, y = line.z * cosine + line.y * sine, line.y * cosine - line.z * sine
+        foot, per_gap = larger(z, tube.apical_radius), 0.5 / half
+        reach = half + (y * y + (foot - z) ** 2 - line.square) * per_gap / 2
+        slope = jnp.where(end, 0, (foot * y - line.foot * line.y) * per_gap)
+        tilt = (foot * z - line.foot * line.z) * per_gap
+        area = jnp.sqrt(1 + (slope**2 + tilt**2) / line.radius**2)
+        edge = jnp.sqrt(1 + slope**2 / line.radius**2)
+        return Walls(jnp.where(end, ends, reach), slope, *(jnp.where(end, 0, size) for size in (area, edge)))
+
+    return settled(wall, truth)
+
+
+def strips(wall: Walls, tilt: Array, step: Array) -> Complex[Array, "strips cells"]:
+    """Between each line and the next, per cell: layer area / r + i x the integral of the walls' `tilt` / r.
+
+    Each side is the two walls' tangents up to where they meet. So three pieces, from 0 over the two meeting
+    points to 1, each with a width linear from end to end: its positive part is integrated. Two lines outside
+    the cell could only show a phantom of it and count nothing. One complex number, as two results would each
+    repeat the work.
+    """
+    step = step[:-1, None]
+    reach = wall.reach[:-1], wall.reach[1:]
+    rise = (wall.slope[:-1] * step[:, None], wall.slope[1:] * step[:, None])
+    turn = rise[0] - rise[1]
+    bend = jnp.clip((reach[1] - rise[1] - reach[0]) / jnp.where(turn == 0, 1e-30, turn), 0, 1)
+    early = bend[:, 0] <= bend[:, 1]
+
+    def tangents(pair: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        """Sums over both sides before any meeting point, between the two, and after both."""
+        (behind, ahead), (next_behind, next_ahead) = ((side[:, 0], side[:, 1]) for side in pair)
+        between = jnp.where(early, next_behind + ahead, behind + next_ahead)
+        return behind + ahead, between, next_behind + next_ahead
+
+    cuts = (0.0, jnp.minimum(bend[:, 0], bend[:, 1]), jnp.maximum(bend[:, 0], bend[:, 1]), 1.0)
+    bases, rises, tilts = (
+        tangents((reach[0], reach[1] - rise[1])),
+        tangents(rise),
+        tangents((tilt[:-1], tilt[1:])),
+    )
+    inside = (reach[0][:, 0] + reach[0][:, 1] > 0) | (reach[1][:, 0] + reach[1][:, 1] > 0)
+    layer_area = wall_size = jnp.zeros(())
+    for start, end, base, slope, leaning in zip(cuts, cuts[1:], bases, rises, tilts, strict=False):
+        first, last = base + slope * start, base + slope * end
+        spread = jnp.abs(first) + jnp.abs(last)
+        filled = (first + last + spread) / 2
+        share = (end - start) * filled / jnp.where(spread > 0, spread, 1)
+        layer_area += share * filled / 2
+        wall_size += share * leaning
+    live = jnp.where(inside, step, 0)
+    return jax.lax.complex(layer_area * live, wall_size * live)
