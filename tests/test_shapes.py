@@ -1,6 +1,7 @@
 """The shape of a cell encloses its volume and agrees with the nearest backbones; pictures can be drawn."""
 
 import io
+from functools import partial
 
 import jax
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from jaxtissue.contacts import find_contacts
 from jaxtissue.edges import trace_edges
-from jaxtissue.reproduction import tube_pictures
+from jaxtissue.reproduction import pictures, tube_pictures
 from jaxtissue.reproduction.pictures import plot_cell_in_tissues, plot_internal_pair, plot_scutoid
 from jaxtissue.reproduction.shapes import (
     APICAL,
@@ -92,7 +93,8 @@ def test_edges_lie_on_the_shape_and_the_frame_keeps_distances(edges):
     )
 
 
-def test_pictures_of_cells_name_their_axes(edges):
+def test_pictures_of_cells_name_their_axes(edges, monkeypatch):
+    monkeypatch.setattr(pictures, "shape_cell", partial(shape_cell, layers=12, across=16))
     figure, axes = plot_cell_in_tissues(TUBE, INNER, [("start", POSITIONS, edges)])
     assert rendered(figure) and "tube units" in axes[0].get_zlabel()
     found, contacts = find_transitions(POSITIONS, TUBE, edges), find_contacts(POSITIONS, TUBE, edges=edges)

@@ -7,11 +7,12 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from jaxtissue.anneal import Annealer, constant_schedule
+from jaxtissue.anneal import Annealer
 from jaxtissue.contacts import Contacts
 from jaxtissue.energy import tube_model
 from jaxtissue.laws import NeighborLaw, bound_ratios, fit_neighbor_law
 from jaxtissue.lines import PRESETS
+from jaxtissue.schedules import constant_schedule
 from jaxtissue.statistics import (
     Connectivity,
     find_connectivity,

@@ -42,7 +42,7 @@ class Plan:
     kept: tuple[int, ...] = (1, 5, 25, 50, 100)  # whose volumes are shown
     ratios: tuple[float, ...] = (1.25, 1.5, 2, 3, 5, 7, 10, 15, 20, 35, 50, 100, 200, 1000)
     table_cells: tuple[int, ...] = (100, 500, 1000)
-    timed_sweeps: int = 5
+    timed_sweeps: int = 15
 
     def tube(self, ratio: float) -> Tube:
         """The tube of a surface ratio R_b / R_a, with R_b = 10."""
@@ -62,7 +62,7 @@ QUICK = Plan(
     kept=(1, 5, 10),
     ratios=(1.25, 2, 10, 50),
     table_cells=(100,),
-    timed_sweeps=3,
+    timed_sweeps=5,
 )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import sparse
 
-from jaxtissue.anneal import CONFLICTS
+from jaxtissue.anneal import CONFLICTS, SPAN
 from jaxtissue.coloring import color, distance_conflicts, hop_conflicts
 from jaxtissue.contacts import find_contacts
 from jaxtissue.reproduction.experiments import BASAL_RADIUS, Plan, Store, Table, tabulate
@@ -15,13 +15,14 @@ from jaxtissue.reproduction.tissues import Annealing
 from jaxtissue.spread import covering_radius
 from jaxtissue.tube import Tube
 
-WARM_UP = 2  # sweeps before the timed ones: the first is compiled, the second may be with wider lists
+WARM_UP = SPAN  # sweeps before the timed ones: a span is timed as a whole, and in the first lists grow
 
 
 def measure_table(plan: Plan, store: Store) -> Table:
-    """A row for each R_a and n: median seconds of a whole sweep, warm, by both algorithms, and rounds.
+    """A row for each R_a and n: seconds of a sweep, warm, by both algorithms, and rounds.
 
-    A sweep of MH is timed as a whole too, n moves one by one, so nothing is scaled. `rounds` are those
+    Seconds are the median over spans of 5 whole sweeps, with what is renewed between them but no compilation.
+    So it is for MH too, n moves one by one: nothing is scaled. `rounds` are those
     played; `rounds_2_hop` and so on are the sets that greedy coloring alone gives under each rule, on the
     tissue after the timed sweeps, and `random_..._hop` on the random tissue before.
     """
