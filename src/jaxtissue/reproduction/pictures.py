@@ -238,7 +238,7 @@ def _frame(axes: Axes3D, corners: Float[np.ndarray, "... 3"]) -> None:
     look: dict[str, Any] = {"aspect": high - low + 2 * spare, "zoom": 0.96}
     axes.set_box_aspect(**look)
     directions: list[Any] = [axes.xaxis, axes.yaxis, axes.zaxis]
-    labels = ("along the axis (tube units)", "around (tube units)", "from the axis (tube units)")
+    labels = ("along the axis", "around", "from the axis (all in tube units)")
     for axis, label in zip(directions, labels, strict=True):
         axis.set_label_text(label, fontsize=9)
         axis.set_major_locator(MaxNLocator(4))
