@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from matplotlib.figure import Figure
 
 import jaxtissue as jt
+from jaxtissue.anneal import PROGRAMS, SPAN
 
 SWEEPS = 100
 LOOKS = (0, 1, 2, 5, 10, 20, 30, 50, 75, 100)
@@ -24,23 +25,23 @@ def run(apical_radius: float) -> dict:
     annealer = jt.Annealer(model, jt.PRESETS["draft"], "is-mh", 0, jt.constant_schedule(2.0, SWEEPS))
     state = annealer.start(initial)
     records, looks = [annealer.record(state)], {0: state.positions}
-    for sweep in range(1, SWEEPS + 1):
-        state, record = annealer.advance(state)
-        records.append(record)
-        if sweep in LOOKS:
-            looks[sweep] = state.positions
-        if sweep == 1:
-            first, shapes = time.perf_counter() - begin, len(annealer._compiled)
+    first, programs = None, 0
+    while state.sweep < SWEEPS:
+        state, rows, trail = annealer.advance(state)
+        records += rows
+        looks |= {row.sweep: places for row, places in zip(rows, trail, strict=True) if row.sweep in LOOKS}
+        if first is None:
+            first, programs = time.perf_counter() - begin, len(PROGRAMS)
     fine = {}
     for sweep, positions in looks.items():
         cells, _ = jt.measure_tissue(jnp.asarray(positions), tube, jt.PRESETS["fine"])
         fine[sweep] = float(jt.epithelial_energy(cells, model).sum())
-    seconds = [record.seconds for record in records[2:]]
+    seconds = [record.seconds for record in records[1 + SPAN :]]
     return {
-        "compile_and_first_sweep_seconds": first,
+        "compile_and_first_span_seconds": first,
         "seconds_per_sweep": statistics.median(seconds),
         "seconds_per_sweep_max": max(seconds),
-        "compiled_after_first_sweep": len(annealer._compiled) - shapes,
+        "compiled_after_first_span": len(PROGRAMS) - programs,
         "rounds": statistics.mean(record.rounds for record in records[1:]),
         "collisions_per_move": sum(record.collisions for record in records) / (500 * SWEEPS),
         "left_cell_per_move": sum(record.left_cell for record in records) / (500 * SWEEPS),

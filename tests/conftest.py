@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import settings
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 from jaxtissue.tube import Tube
 
@@ -16,6 +17,22 @@ REFERENCES = sorted(path.stem for path in DATA.glob("*.npz"))
 
 settings.register_profile("jaxtissue", deadline=None, derandomize=True, database=None, max_examples=30)
 settings.load_profile("jaxtissue")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def keep_compiled(tmp_path_factory):
+    """All tests, and the commands they start, share what one of them compiled: it takes most of their time."""
+    options = {
+        "jax_compilation_cache_dir": str(tmp_path_factory.mktemp("compiled")),
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
+        "jax_persistent_cache_min_entry_size_bytes": -1,
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in options.items():
+            patch.setenv(name.upper(), str(value))
+            jax.config.update(name, value)
+        reset_cache()
+        yield
 
 
 @dataclass(frozen=True)

@@ -1,27 +1,19 @@
-"""Runs: schedules, stopping, bit-identical continuation, the smallest and the oddest tissues, every rule."""
-
-from typing import Any
+"""Runs: schedules, stopping, bit-identical continuation, replays, the smallest and the oddest tissues, every rule."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtissue.anneal import (
-    CONFLICTS,
-    Annealer,
-    AnnealState,
-    constant_schedule,
-    geometric_schedule,
-    has_stalled,
-)
+from jaxtissue import anneal
+from jaxtissue.anneal import CONFLICTS, PROGRAMS, SPAN, Annealer, AnnealState
 from jaxtissue.energy import epithelial_energy, tube_model
 from jaxtissue.lines import PRESETS
+from jaxtissue.schedules import constant_schedule, geometric_schedule, has_stalled
 from jaxtissue.tube import Tube
 
 TUBE = Tube(length=20.0, apical_radius=1.0, basal_radius=3.0)
 CELLS = 60
-PROGRAMS: dict[Any, Any] = {}  # compiled once for all runs of one shape
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -32,12 +24,11 @@ def quick_compile():
     jax.config.update("jax_disable_most_optimizations", False)
 
 
-def annealer(sweeps: int = 4, algorithm: str = "is-mh", conflicts: str = "3-hop", seed: int = 0) -> Annealer:
-    run = Annealer(
-        tube_model(TUBE, CELLS), PRESETS["draft"], algorithm, seed, constant_schedule(0.5, sweeps), conflicts
-    )
-    run._compiled = PROGRAMS
-    return run
+def annealer(
+    sweeps: int = 4, algorithm: str = "is-mh", conflicts: str = "3-hop", seed: int = 0, tube: Tube = TUBE
+) -> Annealer:
+    model, temperatures = tube_model(tube, CELLS), constant_schedule(0.5, sweeps)
+    return Annealer(model, PRESETS["draft"], algorithm, seed, temperatures, conflicts)
 
 
 @pytest.fixture(scope="module")
@@ -46,12 +37,16 @@ def start() -> AnnealState:
     return annealer().start(TUBE.random_positions(jax.random.key(4), CELLS))
 
 
-def play(run: Annealer, state: AnnealState, sweeps: int):
-    """The last state and all rows."""
+def play(run: Annealer, state: AnnealState):
+    """The last state of the schedule and the rows of all its sweeps."""
     rows = []
-    for _ in range(sweeps):
-        state, row = run.advance(state)
-        rows.append(row)
+    while state.sweep < len(run.temperatures):
+        before, (state, more, places) = state, run.advance(state)
+        assert [row.sweep for row in more] == list(range(before.sweep + 1, state.sweep + 1))
+        assert state.sweep % SPAN == 0 or state.sweep == len(run.temperatures)
+        assert places.shape == (len(more), *state.positions.shape)
+        np.testing.assert_array_equal(places[-1], state.positions)
+        rows += more
     return state, rows
 
 
@@ -100,39 +95,86 @@ def test_what_cannot_run_is_named(change: dict, named: str) -> None:
 
 
 def test_a_run_goes_on_to_the_bit(start) -> None:
-    whole, rows = play(annealer(4), start, 4)
-    middle, before = play(annealer(2), start, 2)  # a shorter schedule: sweeps to come change nothing
-    stored = AnnealState(
-        int(middle.sweep), middle.positions.copy(), middle.neighbors.copy(), middle.circle, middle.half
-    )
-    again, after = play(annealer(9), stored, 2)
+    whole, rows = play(annealer(12), start)
+    middle, before = play(annealer(5), start)  # a shorter schedule: sweeps to come change nothing
+    stored = AnnealState(int(middle.sweep), middle.positions.copy(), tuple(middle.widths))
+    again, after = play(annealer(12), stored)
     assert without_time(rows) == without_time(before + after)
-    assert again.sweep == 4
+    assert again.sweep == 12 and again.widths == whole.widths
     np.testing.assert_array_equal(again.positions, whole.positions)
-    np.testing.assert_array_equal(again.neighbors, whole.neighbors)
-    other, _ = play(annealer(1, seed=1), start, 1)
-    assert (other.positions != play(annealer(1), start, 1)[0].positions).any()
+    _, odd = play(annealer(7), start)  # the sweeps of a span that ends early are those of a whole one
+    assert [row._replace(drift=0.0) for row in without_time(odd)] == [
+        row._replace(drift=0.0) for row in without_time(rows[:7])
+    ]
+    other, _ = play(annealer(1, seed=1), start)
+    assert (other.positions != play(annealer(1), start)[0].positions).any()
 
 
-def test_energy_falls_and_nothing_is_compiled_after_the_first_sweep(start) -> None:
-    run = annealer(10)
+def test_energy_falls_and_nothing_is_compiled_after_the_first_span(start) -> None:
+    run = annealer(20)
     first = run.record(start)
-    state, rows = play(run, start, 1)
-    programs = len(PROGRAMS)
-    state, rows = play(run, state, 9)
-    assert len(PROGRAMS) == programs
+    state, rows, _ = run.advance(start)
+    programs = set(PROGRAMS)
+    _, more = play(run, state)
+    assert set(PROGRAMS) == programs
+    rows += more
     assert (first.sweep, first.rounds, first.collisions, first.seconds) == (0, 0, 0, 0.0)
     assert rows[-1].energy < 0.6 * first.energy
-    assert [row.sweep for row in rows] == list(range(2, 11))
+    assert [row.sweep for row in rows] == list(range(1, 21))
     for row in rows:
         assert row.energy == pytest.approx(row.volume_energy + row.area_energy, rel=1e-5)  # float32
         assert 0 < row.acceptance < 1 and row.temperature == 0.5 and row.rounds >= 1
         assert row.drift < 1e-4  # float32
 
 
+def test_tubes_of_other_sizes_need_no_program_of_their_own(start) -> None:
+    play(annealer(SPAN), start)
+    programs = set(PROGRAMS)
+    for tube in (Tube(20.0, 0.5, 3.0), Tube(35.0, 2.0, 3.0), Tube(10.0, 0.4, 2.0)):
+        run = annealer(2 * SPAN, tube=tube)
+        state = run.start(tube.random_positions(jax.random.key(5), CELLS))
+        _, rows = play(run, state)
+        assert rows[-1].energy < run.record(state).energy
+    assert set(PROGRAMS) == programs
+
+
+def sweep_with(candidates: int, monkeypatch, sweeps: int):
+    """State, trail and drift of some sweeps of 60 cells, on so many candidates a side; and how often played."""
+    monkeypatch.setattr(anneal, "CANDIDATES", candidates)
+    run, plays = annealer(sweeps), []
+
+    def count(*arguments):
+        plays.append(arguments)
+        return Annealer._play_on(run, *arguments)
+
+    monkeypatch.setattr(run, "_play_on", count)
+    state = run.start(TUBE.random_positions(jax.random.key(4), CELLS))
+    energy = run.record(state).energy
+    state, trail, drift = run._play(state, run._rounds(state), sweeps)
+    change = run.record(state).energy - energy
+    return state, trail, drift, abs(float(np.sum(trail.info.energy_change)) - change) / energy, len(plays)
+
+
+def test_sweeps_that_lacked_a_candidate_are_played_again(x64, monkeypatch) -> None:
+    expected = sweep_with(CELLS, monkeypatch, SPAN)
+    assert expected[4] == 1  # everyone was a candidate
+    assert expected[2] < 1e-9 and expected[3] < 1e-9
+    few = sweep_with(8, monkeypatch, SPAN)
+    assert few[4] > 1
+    assert few[2] < 1e-9 and few[3] < 1e-9  # float64: no stale cell
+
+
+def test_the_number_of_candidates_does_not_matter(x64, monkeypatch) -> None:
+    everyone, usual, few = (sweep_with(count, monkeypatch, 1) for count in (CELLS, anneal.CANDIDATES, 8))
+    for other in (usual, few):
+        np.testing.assert_array_equal(other[0].positions, everyone[0].positions)
+        np.testing.assert_allclose(other[1].volume, everyone[1].volume, rtol=1e-10)  # float64, other sums
+        np.testing.assert_allclose(other[1].lateral_area, everyone[1].lateral_area, rtol=1e-10)
+
+
 @pytest.mark.parametrize("conflicts", CONFLICTS)
 def test_every_rule_of_independence_runs(start, conflicts: str) -> None:
-    _, (row,) = play(annealer(1, conflicts=conflicts), start, 1)
+    _, (row,) = play(annealer(1, conflicts=conflicts), start)
     assert row.energy < annealer().record(start).energy and row.drift < 1e-4  # float32
     if conflicts in ("4-hop", "8-phi"):
         assert row.collisions == 0
@@ -141,7 +183,7 @@ def test_every_rule_of_independence_runs(start, conflicts: str) -> None:
 
 
 def test_classical_mh_visits_one_by_one(start) -> None:
-    _, (row,) = play(annealer(1, algorithm="mh"), start, 1)
+    _, (row,) = play(annealer(1, algorithm="mh"), start)
     assert (row.rounds, row.collisions) == (CELLS, 0)
     assert row.energy < annealer().record(start).energy and row.drift < 1e-4  # float32
 
@@ -152,7 +194,7 @@ def test_the_smallest_tissues_and_the_narrowest_lumen(cells: int, ratio: float) 
     run = Annealer(tube_model(tube, cells), PRESETS["draft"], "is-mh", 0, constant_schedule(0.5, 3))
     state = run.start(tube.random_positions(jax.random.key(6), cells))
     first = run.record(state)
-    state, rows = play(run, state, 3)
+    state, rows = play(run, state)
     assert state.positions.shape == (cells, 2) and np.isfinite(state.positions).all()
     assert state.positions[:, 0].min() >= 0 and state.positions[:, 0].max() <= 20
     assert all(row.drift < 1e-4 for row in rows)  # float32
@@ -166,7 +208,7 @@ def test_a_user_s_energy_drives_a_run_of_five_cells() -> None:
     model = tube_model(TUBE, 5, cell_energy=lambda cells, model: 2 * epithelial_energy(cells, model))
     run = Annealer(model, PRESETS["draft"], "is-mh", 0, geometric_schedule(1.0, 0.1, 3))
     start = run.start(TUBE.random_positions(jax.random.key(6), 5))
-    _, rows = play(run, start, 3)
+    _, rows = play(run, start)
     for row in (run.record(start), *rows):
         assert row.energy == pytest.approx(2 * (row.volume_energy + row.area_energy), rel=1e-5)  # float32
     assert rows[-1].energy < run.record(start).energy

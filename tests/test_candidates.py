@@ -1,25 +1,32 @@
-"""Candidate lists: complete, on the right side, and built on a true contact graph."""
+"""Candidate lists: complete, on the right side, the nearest first, and built on a true contact graph."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxtissue.anneal import CANDIDATES, MARGIN, SPARSE
 from jaxtissue.candidates import (
+    NEAREST,
     contact_graph,
     find_candidates,
-    hop_lists,
+    nearest,
     padded,
     sided,
-    survey_tissue,
+    spacing,
     tiling_defect,
-    within_hops,
 )
+from jaxtissue.energy import tube_model
 from jaxtissue.exact import exact_cells
-from jaxtissue.lines import PRESETS
+from jaxtissue.lines import PRESETS, plan_lines
+from jaxtissue.metropolis import move_bound
+from jaxtissue.shortlists import around, find_unlisted, list_first, nearest_sides
+from jaxtissue.spans import look
 from jaxtissue.tube import Tube
 
 TUBE = Tube(length=20.0, apical_radius=1.0, basal_radius=3.0)
+CELLS = 300
+BOUND = float(move_bound(tube_model(TUBE, CELLS), CELLS))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -32,69 +39,134 @@ def quick_compile():
 
 @pytest.fixture(scope="module")
 def tissue():
-    """300 cells, their candidates, and who touches whom."""
-    positions = TUBE.random_positions(jax.random.key(3), 300)
-    lists = find_candidates(positions, TUBE)
-    sides = sided(lists, positions, TUBE)
-    _, survey, _ = survey_tissue(positions, TUBE, sides, PRESETS["draft"], surfaces=True)
-    return positions, lists, contact_graph(positions, TUBE, sides, survey)
+    """300 cells, their candidates, which of these stop them, how clear of it the others are, and all contacts."""
+    positions = TUBE.random_positions(jax.random.key(3), CELLS)
+    sides = find_candidates(positions, TUBE, MARGIN * BOUND)
+    lines = plan_lines(TUBE, CELLS, PRESETS["draft"]), plan_lines(TUBE, CELLS, SPARSE)
+    seen, clear = jax.jit(look)(positions, tube_model(TUBE, CELLS), lines, sides)
+    return positions, sides, np.asarray(seen.touched), np.asarray(clear), contact_graph(sides, seen.touched)
+
+
+def listed(lists: np.ndarray) -> np.ndarray:
+    """How often each cell stands on each other's list, [n, n]."""
+    n = len(lists)
+    lists = lists.reshape(n, -1)
+    own = np.broadcast_to(np.arange(n)[:, None], lists.shape)
+    count = np.zeros((n, n), int)
+    np.add.at(count, (own[lists != own], lists[lists != own]), 1)
+    return count
 
 
 def test_contacts_are_mutual_and_not_with_oneself(tissue) -> None:
-    contacts = tissue[2].toarray()
+    contacts = tissue[4].toarray()
     np.testing.assert_array_equal(contacts, contacts.T)
     assert not contacts.diagonal().any()
     assert contacts.sum(axis=1).min() >= 3  # whoever is not at an end is walled in
 
 
 def test_walls_of_some_size_are_contacts_and_candidates(tissue) -> None:
-    positions, lists, contacts = tissue
+    positions, sides, _, _, contacts = tissue
     exact = exact_cells(np.asarray(positions, float), TUBE, samples=15)
     a, b = exact.pairs[exact.wall_area > 0.01 * exact.wall_area.mean()].T
-    assert (lists[a] == b[:, None]).any(axis=1).all() and (lists[b] == a[:, None]).any(axis=1).all()
+    candidates = listed(sides)
+    assert candidates[a, b].all() and candidates[b, a].all()
     # draft lines are a third of a cell apart: they miss narrow walls only
     a, b = exact.pairs[exact.wall_area > 0.5 * exact.wall_area.mean()].T
     assert contacts.toarray()[a, b].all()
 
 
-def test_lists_hold_two_hops_and_nobody_twice(tissue) -> None:
-    positions, lists, contacts = tissue
-    own = np.arange(len(lists))[:, None]
-    member = np.zeros((300, 300), int)
-    np.add.at(member, (np.broadcast_to(own, lists.shape)[lists != own], lists[lists != own]), 1)
-    assert member.max() == 1
-    two = within_hops(contacts, 2).toarray() > 0
-    np.fill_diagonal(two, False)
-    again = hop_lists(contacts, positions, TUBE)
-    assert all(set(np.flatnonzero(two[i])) <= set(again[i].tolist()) for i in range(300))
+def test_the_nearest_by_spacing_are_listed() -> None:
+    positions = TUBE.random_positions(jax.random.key(5), CELLS)
+    place, own = np.asarray(positions, float), np.arange(CELLS)
+    everyone = nearest(positions, TUBE, 2 * CELLS)
+    np.testing.assert_array_equal(np.sort(everyone), [np.delete(own, cell) for cell in own])
+    scores = spacing(place, own[:, None], own[None], TUBE)
+    np.fill_diagonal(scores, np.inf)
+    lists = nearest(positions, TUBE, NEAREST)
+    assert listed(lists).max() == 1
+    found = np.sort(np.take_along_axis(scores, lists, axis=1))
+    # float64; of the last few those that lie far along the axis are not looked at
+    np.testing.assert_allclose(found[:, :64], np.sort(scores)[:, :64], rtol=1e-12)
 
 
 def test_sides_are_behind_and_ahead(tissue) -> None:
-    positions, lists, _ = tissue
-    axial, own = np.asarray(positions)[:, 0], np.arange(300)[:, None]
+    positions = tissue[0]
+    lists = nearest(positions, TUBE, 60)
+    axial, own = np.asarray(positions, float)[:, 0], np.arange(CELLS)[:, None]
     for margin in (0.0, 0.5):
         sides = sided(lists, positions, TUBE, margin)
-        wide = max(margin, 2e-4)  # twice the width within which two cells are level, at this lumen
+        wide = max(margin, 2e-3)  # twice the height at which two cells can be level, at this lumen
         for side, sign in ((0, -1), (1, 1)):
             rivals = sides[:, side]
             gap = sign * (axial[rivals] - axial[:, None])
             assert (gap[rivals != own] >= -wide).all()
-            listed = sign * (axial[lists] - axial[:, None]) >= -wide
-            for i in range(300):
-                assert set(rivals[i][rivals[i] != i]) == set(lists[i][listed[i] & (lists[i] != i)])
+            on_side = sign * (axial[lists] - axial[:, None]) >= -wide
+            for i in range(CELLS):
+                expected = lists[i][on_side[i]]
+                assert sorted(rivals[i][rivals[i] != i]) == sorted(expected)  # nobody twice
 
 
 def test_padding_is_the_cell_itself(tissue) -> None:
-    lists = tissue[1]
-    wider = padded(lists, lists.shape[1] + 5)
-    np.testing.assert_array_equal(wider[:, : lists.shape[1]], lists)
-    assert (wider[:, lists.shape[1] :] == np.arange(300)[:, None]).all()
-    np.testing.assert_array_equal(padded(lists, 1), lists)
+    sides = tissue[1]
+    wider = padded(sides, sides.shape[2] + 5)
+    np.testing.assert_array_equal(wider[..., : sides.shape[2]], sides)
+    assert (wider[..., sides.shape[2] :] == np.arange(CELLS)[:, None, None]).all()
+    np.testing.assert_array_equal(padded(sides, 1), sides)
 
 
 @pytest.mark.parametrize("n, ratio", [(1, 3), (2, 3), (3, 3), (40, 3), (300, 3), (70, 200)])
 def test_lists_are_complete(n: int, ratio: float) -> None:
     tube = Tube(20.0, 3.0 / ratio, 3.0)
     positions = tube.random_positions(jax.random.key(3), n)
-    sides = jnp.asarray(sided(find_candidates(positions, tube), positions, tube))
-    assert tiling_defect(positions, tube, sides) < 1e-5  # float32 sums over a line, measured 2e-6
+    sides = find_candidates(positions, tube)
+    assert sides.shape[:2] == (n, 2)
+    assert tiling_defect(positions, tube, jnp.asarray(sides)) < 1e-5  # float32 sums over a line, measured 2e-6
+
+
+def test_the_clearest_candidates_are_left_out(tissue) -> None:
+    positions, sides, touched, clear, _ = tissue
+    own = np.arange(CELLS)[:, None, None]
+    assert (clear[touched] == -1).all() and np.isinf(clear[sides == own]).all()
+    assert (clear[~touched] >= 0).all()
+    few = nearest_sides(sides, clear, CANDIDATES)
+    assert few.shape == (CELLS, 2, CANDIDATES)
+    assert not len(find_unlisted(touched, sides, few))
+    kept = (sides != own) & listed_on(sides, few)
+    nearer = np.where(kept, clear, -np.inf).max(axis=2)
+    assert (nearer <= np.where(kept | (sides == own), np.inf, clear).min(axis=2)).all()
+
+
+def test_few_candidates_do_for_a_while(tissue) -> None:
+    positions, sides, _, clear, _ = tissue
+    turn = np.random.default_rng(0).uniform(0, 2 * np.pi, CELLS)
+    step = BOUND * np.stack([np.cos(turn), np.sin(turn) / TUBE.apical_radius], axis=-1)
+    moved = TUBE.reflect(positions + step)  # everyone at once by the longest move
+    for count, complete in ((CANDIDATES, True), (6, False)):
+        few = jnp.asarray(padded(nearest_sides(sides, clear, count), CANDIDATES))
+        assert (tiling_defect(positions, TUBE, few) < 1e-5) == complete  # float32, as of all candidates
+        assert (tiling_defect(moved, TUBE, few) < 1e-5) == complete
+
+
+def listed_on(sides: np.ndarray, few: np.ndarray) -> np.ndarray:
+    """Which of the candidates are among the few on their side."""
+    return (sides[..., :, None] == few[..., None, :]).any(axis=-1)
+
+
+def test_who_lacked_a_rival_is_listed_first(tissue) -> None:
+    _, sides, touched, clear, _ = tissue
+    clear = np.abs(clear)  # as if none had been seen to stop a cell
+    few = nearest_sides(sides, clear, 3)
+    pairs = find_unlisted(touched, sides, few)
+    assert len(pairs) and not (sides[pairs[:, 0]] == -1).any()
+    assert list_first(pairs, sides, clear)
+    assert not list_first(pairs, sides, clear)  # no news
+    again = nearest_sides(sides, clear, 24)
+    assert (again[pairs[:, 0]] == pairs[:, 1][:, None, None]).any(axis=(1, 2)).all()
+    assert (again[pairs[:, 1]] == pairs[:, 0][:, None, None]).any(axis=(1, 2)).all()
+
+
+def test_all_around_a_cell_are_those_listed_either_way(tissue) -> None:
+    few = nearest_sides(tissue[1], tissue[3], 8)
+    ring = listed(around(few))
+    one_way = listed(few) > 0
+    np.testing.assert_array_equal(ring, one_way | one_way.T)  # and nobody twice

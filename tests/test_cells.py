@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import REFERENCES, read_reference
 
-from jaxtissue.candidates import REACH, find_candidates, measure_tissue, sided, tiling_defect
+from jaxtissue.candidates import REACH, TILES, find_candidates, measure_tissue, sided, tiling_defect
 from jaxtissue.cells import CellGeometry, measure_cells
 from jaxtissue.exact import exact_cells
 from jaxtissue.lines import PRESETS, plan_lines
@@ -56,7 +56,9 @@ def test_presets_hold_their_bars(name: str, preset: str, load_reference) -> None
     with jax.enable_x64(name == "near_coincident"):  # its two backbones are 1e-3 apart: float32 can't
         cells, defect = measure_tissue(jnp.asarray(positions, float), tube, PRESETS[preset])
     volume_bar, area_bar, total_bar = BARS[preset]
-    assert defect < 1e-5  # float32 rounding, measured up to 2e-6
+    # float32 rounding, measured up to 2e-6; walls between cells at the same height are given a slope, seen from
+    # either cell a thousandth of the chord between them (at most 2 R_a) apart: measured 6.5e-5 of the length
+    assert defect < (TILES if name == "duplicate_x" else 1e-5)
     assert off(cells.volume, data["V"]) <= volume_bar
     assert abs(np.sum(cells.volume, dtype=float) / tube.volume - 1) <= volume_bar / 3
     if name == "n1":
@@ -144,7 +146,9 @@ def test_a_ring_of_cells_has_radial_walls(count: int) -> None:
     walls, ring = 2 * 10 * (3 - 1), np.pi * 10 / count
     expected = [ring * (9 - 1), walls, ring * 2, ring * 6, 20, 20]
     for name, size in zip(SIZES, expected, strict=True):
-        np.testing.assert_allclose(getattr(cells, name), size, rtol=1e-5)  # float32: the walls are planes
+        # the walls are planes given a slope of a thousandth: at the end they stand 1e-3 of half the chord aside,
+        # 5e-4 of such a cell, 1.3e-3 of its apical area
+        np.testing.assert_allclose(getattr(cells, name), size, rtol=1.5e-3 if name == "apical_area" else 1e-3)
     assert cells.touches_end.all()
 
 
@@ -184,7 +188,7 @@ def test_alarms_ring(tissue) -> None:
     tube, positions, _ = tissue
     exact = exact_cells(positions, tube, samples=20)
     positions = jnp.asarray(positions, jnp.float32)
-    sides = sided(find_candidates(positions, tube), positions, tube)
+    sides = find_candidates(positions, tube)
     first, second = exact.pairs[np.argmax(exact.wall_area)]
     short = sides.copy()
     short[first][short[first] == second] = first
@@ -197,7 +201,7 @@ def test_alarms_ring(tissue) -> None:
 def test_the_width_of_windows_changes_nothing(tissue, reach: float) -> None:
     tube, positions, _ = tissue
     positions = jnp.asarray(positions, jnp.float32)
-    sides = sided(find_candidates(positions, tube), positions, tube)
+    sides = find_candidates(positions, tube)
     measure = jax.jit(measure_cells)
     usual, narrow = (
         measure(positions, tube, plan_lines(tube, len(positions), PRESETS["draft"], width), sides)

@@ -14,7 +14,6 @@ import jax
 import networkx as nx
 import numpy as np
 import pytest
-from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 import jaxtissue
 from jaxtissue import cli, io, tables
@@ -53,25 +52,6 @@ MEANS = [
     *("internal_fraction", "ring_fraction", "detached_fraction", "identity_residual"),
 ]
 GOOD = "axial,angle\n1,0\n5,2\n9,4\n"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def keep_compiled(tmp_path_factory):
-    """Runs, in this process and in others, share what one of them compiled: it takes most of their time."""
-    options = {
-        "jax_compilation_cache_dir": str(tmp_path_factory.mktemp("compiled")),
-        "jax_persistent_cache_min_compile_time_secs": 0.0,
-    }
-    before = {name: getattr(jax.config, name) for name in options}
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in options.items():
-            patch.setenv(name.upper(), str(value))
-            jax.config.update(name, value)
-        reset_cache()
-        yield
-    for name, value in before.items():
-        jax.config.update(name, value)
-    reset_cache()
 
 
 @pytest.fixture(autouse=True)
@@ -213,11 +193,11 @@ def test_a_killed_run_resumes_to_the_bit(annealed, tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_sweep_saves_and_leaves(annealed, tmp_path, monkeypatch, capsys, number):
+def test_a_signal_ends_the_span_saves_and_leaves(annealed, tmp_path, monkeypatch, capsys, number):
     folder, advance = tmp_path / "stopped", Annealer.advance
 
     def interrupted(annealer, state):
-        if state.sweep == 30:
+        if state.sweep == 30:  # and so in the span up to the 35th
             signal.raise_signal(number)
         return advance(annealer, state)
 
@@ -225,10 +205,10 @@ def test_a_signal_ends_the_sweep_saves_and_leaves(annealed, tmp_path, monkeypatc
         patch.setattr(Annealer, "advance", interrupted)
         assert main([*LONG, "--out", str(folder)]) == 128 + number
     error = capsys.readouterr().err
-    assert f"stopped by {number.name} after sweep 31 of 80" in error and "--resume" in error
+    assert f"stopped by {number.name} after sweep 35 of 80" in error and "--resume" in error
     assert (
         io.load_checkpoint(folder / "checkpoint.npz").state.sweep
-        == 31
+        == 35
         == count_rows(folder / "sweeps.csv") - 1
     )
     assert not list(folder.glob(".*")) and not (folder / "backbones.csv").exists()

@@ -110,8 +110,7 @@ def test_json_has_no_infinity_and_no_nan(tmp_path):
 @pytest.fixture
 def checkpoint():
     rng = np.random.default_rng(0)
-    positions, neighbors = rng.random((3, 2), np.float32), np.arange(12, dtype=np.int32).reshape(3, 4)
-    state = AnnealState(7, positions, neighbors, (3, 4), (1, 2))
+    state = AnnealState(7, rng.random((3, 2), np.float32), (24, 48))
     return io.Checkpoint(state, np.array([0, 5]), rng.random((2, 3, 2), np.float32))
 
 

@@ -6,53 +6,62 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from jaxtissue.anneal import Annealer, constant_schedule, numbered_sweep
-from jaxtissue.candidates import padded, sided, survey_tissue
-from jaxtissue.cells import posts
+from jaxtissue.anneal import CAPACITY, PROGRAMS, SPAN, Annealer, _shortlists
+from jaxtissue.candidates import padded, sided
+from jaxtissue.cells import measure_cells
+from jaxtissue.changes import tissue_state
 from jaxtissue.coloring import color, hop_conflicts
 from jaxtissue.energy import tube_model
-from jaxtissue.lines import PRESETS, Lines
+from jaxtissue.lines import PRESETS
 from jaxtissue.metropolis import move_bound, propose
+from jaxtissue.schedules import constant_schedule
+from jaxtissue.spans import play
 from jaxtissue.tube import Tube
+from jaxtissue.walls import posts
 
 CELLS = 300
 TUBE = Tube(length=60.0, apical_radius=1.0, basal_radius=10.0)
-CAPACITY, WIDTH = 64, 7
+PRESET = PRESETS["draft"]
 
 
 class Bench:
-    """A tissue in float64, and its sweeps under any rounds, temperature and key: all on one set of lists."""
+    """A tissue in float64, and sweeps of it under any rounds, temperature and seed: all on one set of lists."""
 
     def __init__(self) -> None:
-        self.annealer = Annealer(
-            tube_model(TUBE, CELLS), PRESETS["draft"], "is-mh", 5, constant_schedule(2.0, 20)
-        )
+        self.annealer = Annealer(tube_model(TUBE, CELLS), PRESET, "is-mh", 5, constant_schedule(2.0, 20))
         self.start = self.annealer.start(TUBE.random_positions(jax.random.key(1), CELLS))
-        self.lines = Lines(self.start.circle, self.start.half)
-        self.measured = self.annealer._measure(self.start)
-        self.rounds = color(hop_conflicts(self.measured.contacts, 3), WIDTH)
+        measured = self.annealer._measure(self.start)
+        self.lines = self.annealer._plan(CELLS)
+        self.near = _shortlists(measured.sides, measured.clear, 0)
+        self.tissue = tissue_state(jnp.asarray(self.start.positions), measured.seen)
+        self.width = self.annealer._rounds(self.start)[0].shape[1]  # so that all share the run's program
+        self.rounds = color(hop_conflicts(measured.contacts, 3), self.width)
+        self.measure = jax.jit(measure_cells)
 
-    def sweep(self, rounds: np.ndarray, temperature: float = 2.0, seed: int = 0):
-        """The tissue after a sweep, and what happened."""
-        plan = np.pad(rounds, ((0, max(0, CAPACITY - len(rounds))), (0, 0)), constant_values=-1)
-        return self.annealer._run(
-            numbered_sweep, np.uint32(seed), np.int32(0), self.measured.tissue, self.annealer.model,
-            np.asarray(temperature), self.measured.near, plan, np.int32(len(rounds)), lines=self.lines,
+    def sweep(self, rounds: np.ndarray, temperature: float = 2.0, seed: int = 0, tissue=None):
+        """The tissue after a sweep of at most `CAPACITY` rounds, and what happened."""
+        plan = np.full((SPAN, CAPACITY, self.width), -1, np.int32)
+        plan[0, : len(rounds), : rounds.shape[1]] = rounds
+        counts, temperatures = np.zeros(SPAN, np.int32), np.full(SPAN, temperature)
+        counts[0] = len(rounds)
+        after, trail = self.annealer._run(
+            play, np.uint32(seed), np.int32(0), tissue or self.tissue, self.annealer.model,
+            temperatures, self.near, (plan, counts), self.lines,
         )  # fmt: skip
+        return after, jax.tree.map(lambda leaf: leaf[0], trail.info)
 
     def energy(self, positions) -> float:
         """Measured afresh, everyone a candidate of everyone."""
         everyone = np.broadcast_to(np.arange(CELLS, dtype=np.int32), (CELLS, CELLS))
         sides = padded(sided(everyone, positions, TUBE), CELLS + 8)  # one shape for all
-        cells, _, _ = survey_tissue(jnp.asarray(positions), TUBE, sides, PRESETS["draft"])
+        cells, _ = self.measure(jnp.asarray(positions), self.annealer.model.tube, self.lines, sides)
         model = self.annealer.model
         return float(model.cell_energy(cells, model).sum())
 
-    def imbalance(self, tissue, info) -> float:
+    def imbalance(self, state, info) -> float:
         """Sum of local differences against the change of the global energy, relative to the energy."""
-        before = self.energy(self.start.positions)
-        after = self.energy(np.stack([tissue.place.axial, tissue.place.angle], axis=-1))
-        return abs(float(info.energy_change) - (after - before)) / before
+        before, after = self.energy(self.start.positions), self.energy(state.positions)
+        return abs(float(np.sum(info.energy_change)) - (after - before)) / before
 
 
 @pytest.fixture(scope="module")
@@ -68,11 +77,10 @@ def bench(shared_bench, x64):
 
 def test_local_differences_add_up_to_the_global_energy(bench) -> None:
     state, total = bench.start, 0.0
-    for number in range(20):
-        state, info, drift = bench.annealer._play(state, bench.annealer._rounds(state))
-        state = state._replace(sweep=number + 1)
-        total += float(info.energy_change)
-        assert drift < 1e-9  # the bar, sweep by sweep, against lists found anew
+    while state.sweep < 20:
+        state, trail, drift = bench.annealer._play(state, bench.annealer._rounds(state), SPAN)
+        total += float(trail.info.energy_change.sum())
+        assert drift < 1e-9  # the bar, span by span, against lists found anew
     before, after = bench.energy(bench.start.positions), bench.energy(state.positions)
     assert abs(total - (after - before)) < 1e-9 * abs(after - before)  # the bar
     assert after < 0.5 * before
@@ -80,12 +88,15 @@ def test_local_differences_add_up_to_the_global_energy(bench) -> None:
 
 def test_mh_and_is_mh_decide_alike(bench) -> None:
     order = bench.rounds[bench.rounds >= 0]
-    # a colliding move is played last, so only sweeps without one visit in this order
-    seed = next(seed for seed in range(10) if bench.sweep(bench.rounds, seed=seed)[1].collisions == 0)
+    # a move put off is played last, so only sweeps without one visit in this order
+    seed = next(seed for seed in range(10) if bench.sweep(bench.rounds, seed=seed)[1].rounds == len(bench.rounds))
     together, info = bench.sweep(bench.rounds, seed=seed)
-    alone, info_alone = bench.sweep(order[:, None], seed=seed)
-    assert info.rounds == len(bench.rounds) and info_alone.rounds == CELLS
-    assert info.accepted == info_alone.accepted and info.left_cell == info_alone.left_cell
+    alone, accepted, left_cell = None, 0, 0
+    for start in range(0, CELLS, CAPACITY):  # a sweep in parts is one sweep: draws belong to cells
+        alone, part = bench.sweep(order[start : start + CAPACITY, None], seed=seed, tissue=alone)
+        assert part.rounds == len(order[start : start + CAPACITY])
+        accepted, left_cell = accepted + part.accepted, left_cell + part.left_cell
+    assert info.accepted == accepted and info.left_cell == left_cell
     assert 0 < info.accepted < CELLS
     np.testing.assert_array_equal(together.place.axial, alone.place.axial)
     np.testing.assert_array_equal(together.place.angle, alone.place.angle)
@@ -93,14 +104,17 @@ def test_mh_and_is_mh_decide_alike(bench) -> None:
 
 
 def test_colliding_moves_are_put_off_and_the_balance_holds(bench) -> None:
-    order = np.random.default_rng(0).permutation(CELLS)
-    crowded = np.pad(order, (0, -CELLS % WIDTH), constant_values=-1).reshape(-1, WIDTH).astype(np.int32)
-    tissue, info = bench.sweep(crowded)
-    assert info.collisions > 0
-    assert info.rounds == len(crowded) + info.collisions  # each in a round of its own
-    assert bench.imbalance(tissue, info) < 1e-9  # the bar
-    _, hot = bench.sweep(crowded, temperature=1e30)
-    assert hot.accepted == CELLS  # nobody is forgotten
+    for shuffle in range(4):
+        order = np.random.default_rng(shuffle).permutation(CELLS)
+        crowded = np.pad(order, (0, -CELLS % bench.width), constant_values=-1).reshape(-1, bench.width)
+        _, info = bench.sweep(crowded)
+        assert info.collisions > 0
+        assert info.rounds >= len(crowded) + info.collisions  # each in a round of its own
+        _, hot = bench.sweep(crowded, temperature=1e30)
+        assert hot.accepted == CELLS  # nobody is forgotten
+        state, trail, drift = bench.annealer._play(bench.start, [crowded.astype(np.int32)], 1)
+        assert trail.info.collisions[0] > 0
+        assert drift < 1e-9 and bench.imbalance(state, trail.info) < 1e-9  # the bar
 
 
 def test_the_key_alone_makes_the_draws(bench) -> None:
@@ -112,12 +126,11 @@ def test_the_key_alone_makes_the_draws(bench) -> None:
 def test_frozen_tissue_never_gains_energy(bench) -> None:
     tissue, info = bench.sweep(bench.rounds, temperature=0.0)
     assert 0 < info.accepted < CELLS and info.energy_change < 0
-    moved = np.asarray(tissue.place.axial != bench.measured.tissue.place.axial)
+    moved = np.asarray(tissue.place.axial != bench.tissue.place.axial)
     assert moved.sum() == info.accepted
     # one move a round, so that each energy difference is seen: none above 0
     for cell in range(0, CELLS, 20):
-        alone = np.full((1, WIDTH), -1, np.int32)
-        alone[0, 0] = cell
+        alone = np.array([[cell]])
         assert bench.sweep(alone, temperature=0.0)[1].energy_change <= 0
 
 
@@ -125,7 +138,7 @@ def test_hot_tissue_takes_every_move(bench) -> None:
     tissue, info = bench.sweep(bench.rounds, temperature=1e30)
     assert info.accepted == CELLS
     moves, _ = jax.random.split(jax.random.fold_in(jax.random.key(0), 0))
-    expected = propose(moves, bench.measured.tissue.place, bench.annealer.model)
+    expected = propose(moves, bench.tissue.place, bench.annealer.model)
     np.testing.assert_allclose(tissue.place.axial, expected.axial, rtol=1e-12)  # float64
     np.testing.assert_allclose(tissue.place.angle, expected.angle, rtol=1e-12)
 
@@ -151,20 +164,20 @@ def test_proposals_are_uniform_in_the_apical_disc_and_reflected() -> None:
     assert folded.mean() == pytest.approx(4 / (3 * np.pi), abs=0.01)  # mean of |cos| over a disc; 5 sd
 
 
-@pytest.mark.parametrize("apical_radius", [1.0, 5.0])
-def test_the_default_rule_hardly_ever_collides(apical_radius: float) -> None:
-    tube, count, sweeps = Tube(100.0, apical_radius, 10.0), 500, 20
-    annealer = Annealer(tube_model(tube, count), PRESETS["draft"], "is-mh", 0, constant_schedule(2.0, sweeps))
-    state = annealer.start(tube.random_positions(jax.random.key(0), count))
-    rows = [annealer.record(state)]
-    for number in range(sweeps):
-        state, row = annealer.advance(state)
-        rows.append(row)
-        if number == 0:
-            programs = len(annealer._compiled)
-    assert len(annealer._compiled) == programs  # no compile after the first sweep
-    assert sum(row.collisions for row in rows) < 0.001 * sweeps * count
-    assert rows[-1].energy < 0.5 * rows[0].energy
-    assert max(row.drift for row in rows) < 1e-4  # float32
-    assert state.positions[:, 0].min() >= 0 and state.positions[:, 0].max() <= 100
-    assert state.positions[:, 1].min() >= 0 and state.positions[:, 1].max() < 2 * np.pi
+def test_the_default_rule_hardly_ever_collides_on_tubes_of_one_program() -> None:
+    count, sweeps, programs = 500, 20, set()
+    for apical_radius in (1.0, 5.0):
+        tube = Tube(100.0, apical_radius, 10.0)
+        annealer = Annealer(tube_model(tube, count), PRESET, "is-mh", 0, constant_schedule(2.0, sweeps))
+        state = annealer.start(tube.random_positions(jax.random.key(0), count))
+        rows = [annealer.record(state)]
+        while state.sweep < sweeps:
+            state, more, _ = annealer.advance(state)
+            rows += more
+            programs = programs or set(PROGRAMS)
+            assert set(PROGRAMS) == programs  # no compile after the first tube's first span
+        assert sum(row.collisions for row in rows) < 0.001 * sweeps * count  # the bar
+        assert rows[-1].energy < 0.5 * rows[0].energy
+        assert max(row.drift for row in rows) < 1e-4  # float32
+        assert state.positions[:, 0].min() >= 0 and state.positions[:, 0].max() <= 100
+        assert state.positions[:, 1].min() >= 0 and state.positions[:, 1].max() < 2 * np.pi
