@@ -89,11 +89,7 @@ def _judge_internal(claims: Claims, mean: Table, plan: Plan) -> None:
     ratio, told = published.INTERNAL_FRACTION
     share = at_ratio(mean, ratio, "internal_fraction")
     met = None if share is None or plan.quick else abs(share - told) <= 0.05
-    why = (
-        QUICK_SIZES
-        if met is None or share is None
-        else _by_threshold(mean, ratio, "internal_fraction", ".1%")
-    )
+    why = QUICK_SIZES if met is None else _by_threshold(mean, ratio, "internal_fraction", ".1%")
     numbers = f"{told:.0%}", "-" if share is None else f"{share:.1%}"
     claims.add(f"cells with an internal neighbor at ratio {ratio:g}", numbers, met, "within 5 points", why)
     internal, most = mean["internal_neighbors"], published.INTERNAL_NEIGHBORS

@@ -44,8 +44,9 @@ plan leaves out.
 """
 _QUICK = """
 **This is a `--quick` run**: {cells} cells on a tube of length {length:g} (the paper: 500 on 100), {sweeps}
-sweeps (100), {seeds} seeds (10), {ratios} surface ratios; {cells} cells in Figs. 7 to 9 (1000). It shows that everything works, no more: the short
-tube has more cells at its ends, and few sweeps relax less. Judge by the full run.
+sweeps (100), {seeds} seeds (10), {ratios} surface ratios; {cells} cells in Figs. 7 to 9 (1000). It shows that
+everything works, no more: the short tube has more cells at its ends, and few sweeps relax less. Judge by the
+full run.
 """
 
 
