@@ -181,7 +181,7 @@ def test_tables_of_runs_and_volumes(store, monkeypatch):
 
 def test_histories_start_from_the_random_tissue_of_their_seed():
     annealing = Annealing(Tube(15, 1, 10), 60, 1)  # of the shapes of other tests, compiled once
-    history = anneal_histories(annealing, [5])[0]
+    (history,) = anneal_histories(annealing, [5])
     assert history.positions.shape == (2, 60, 2) and list(history.records["sweep"]) == [0, 1]
     start = np.asarray(random_tissue(annealing.tube, 60, 5))
     assert np.array_equal(history.positions[0], start) and not np.array_equal(history.positions[1], start)

@@ -93,7 +93,7 @@ class Store:
         return json.loads(path.read_text(encoding="utf-8"))["row"]
 
     def histories(self, annealing: Annealing, seeds: Sequence[int]) -> list[History]:
-        """One annealing run for each seed; those that are not there are computed together."""
+        """One annealing run for each seed; those that are not there are computed, each kept as it ends."""
         paths = {seed: self.folder / f"{annealing.name}_seed{seed}.npz" for seed in seeds}
         found = {seed: _load_history(path) for seed, path in paths.items() if self._is_usable(path)}
         known = {seed: history for seed, history in found.items() if history is not None}

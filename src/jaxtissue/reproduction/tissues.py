@@ -1,6 +1,6 @@
 """Tissues to look at: annealed ones with their history, and ones relaxed by Lloyd's method."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -46,9 +46,9 @@ class History(NamedTuple):
     positions: Float[np.ndarray, "rows n 2"]
 
 
-def anneal_histories(annealing: Annealing, seeds: Sequence[int]) -> list[History]:
-    """One run for each seed, which gives the random backbones it starts from and its moves."""
-    return [_anneal(annealing, seed) for seed in seeds]
+def anneal_histories(annealing: Annealing, seeds: Sequence[int]) -> Iterator[History]:
+    """One run for each seed, which gives the random backbones it starts from and its moves; as they end."""
+    return (_anneal(annealing, seed) for seed in seeds)
 
 
 def _anneal(annealing: Annealing, seed: int) -> History:
