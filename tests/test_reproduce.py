@@ -69,7 +69,7 @@ def test_a_quick_item_from_the_command_line(tmp_path, capsys):
     before = (folder / "fig7.png").stat().st_mtime_ns
     assert main(arguments) == 0 and (folder / "fig7.png").stat().st_mtime_ns == before
     assert "there already" in capsys.readouterr().err
-    assert main([*arguments, "--seeds", "3"]) == 2 and "--quick run with 2 seeds" in capsys.readouterr().err
+    assert main([*arguments, "--seeds", "3"]) == 2 and "seeds = 2, not 3" in capsys.readouterr().err
     (folder / "fig7.csv").unlink()
     assert main(arguments) == 0 and (folder / "fig7.csv").exists()
     assert main([*arguments, "--force"]) == 0 and "fig7 done" in capsys.readouterr().err

@@ -85,7 +85,8 @@ def _open(folder: Path, plan: Plan, force: bool) -> dict[str, Any]:
             manifest["items"] = whole
         elif not force:
             kind = "--quick" if planned.get("quick") else "full"
-            found = f"{folder} holds a {kind} run with {planned.get('seeds')} seeds"
+            other = next((name for name in arguments if planned.get(name) != arguments[name]), "quick")
+            found = f"{folder} holds a {kind} run with {other} = {planned.get(other)}, not {arguments[other]}"
             raise ValueError(f"{found}; choose another or add --force")
     io.make_folder(folder)
     return manifest
