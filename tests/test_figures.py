@@ -61,7 +61,7 @@ def test_volumes_by_rank():
 def test_curves_against_the_ratio_name_axes_tissues_and_the_paper():
     table = ratios()
     law = fit_neighbor_law(table["ratio"], table["neighbors"])
-    for figure, axes in (plot_neighbors(table, law), plot_transitions(table), plot_kinds(table)):
+    for figure, axes in (plot_neighbors(table, law), plot_transitions(table, law), plot_kinds(table)):
         assert rendered(figure)
         assert all("R_b / R_a" in panel.get_xlabel() and panel.get_ylabel() for panel in axes)
         assert any("paper" in label for panel in axes for label in labels(panel))

@@ -113,7 +113,7 @@ def make_fig12(plan: Plan, store: Store) -> Product:
 def make_fig13(plan: Plan, store: Store) -> Product:
     """Transition points and scutoids against the surface ratio."""
     table = measure_ratios(plan, store)
-    return Product({"": table}, plot_transitions(table)[0])
+    return Product({"": table}, plot_transitions(table, _fit(table, "transitions"))[0])
 
 
 def make_fig14(plan: Plan, store: Store) -> Product:

@@ -25,7 +25,9 @@ def judge_neighbors(tables: Mapping[str, Table], plan: Plan) -> Claims:
     found = at_ratio(mean, ratio, "neighbors")
     met = None if found is None else found < most
     why = (
-        QUICK_SIZES if found is None else f"exact contacts have no such plateau: {_by_threshold(mean, ratio)}"
+        QUICK_SIZES
+        if found is None
+        else f"with every wall the plateau is higher: {_by_threshold(mean, ratio)}"
     )
     claims.add(f"mean neighbors at ratio {ratio:g}", ("below 11", _shown(found)), met, "below 11", why)
     _judge_law(claims, "neighbors grow as a logistic function", mean, "neighbors")
@@ -151,6 +153,7 @@ def _judge_law(claims: Claims, says: str, mean: Table, name: str) -> None:
         claims.add(says, ("words", "no fit"), False, criterion, str(error))
         return
     ours = f"R^2 {law.r2:.4f}; {law.low:.2f} to {law.high:.2f}, half way at {law.middle:.3g}"
+    why += "; its lower end lies at ratios below 1, where there is no tissue" if law.low < 0 else ""
     claims.add(says, ("words", ours), law.r2 >= 0.98, criterion, why)
 
 

@@ -39,10 +39,7 @@ def plot_neighbors(table: Table, law: NeighborLaw | None) -> tuple[Figure, np.nd
     for kind, style in TISSUES.items():
         rows = where(table, kind=kind)
         band(axes[0], rows["ratio"], rows["neighbors"], style[1], style[2], style[0])
-    ratios = np.geomspace(table["ratio"].min(), table["ratio"].max(), 200)
-    if law:
-        label = f"logistic law, annealed: {law.low:.2f} to {law.high:.2f}"
-        axes[0].plot(ratios, law.predict(ratios), color="black", lw=1, ls=(0, (6, 2)), label=label)
+    _draw_law(axes[0], table, law)
     _draw_gland(axes[0], published.GLAND.neighbors)
     rows = where(table, kind="annealed")
     for threshold, color in zip(THRESHOLDS, mpl.colormaps["viridis"](np.linspace(0, 0.85, 4)), strict=True):
@@ -64,7 +61,7 @@ def plot_neighbors(table: Table, law: NeighborLaw | None) -> tuple[Figure, np.nd
     return figure, axes
 
 
-def plot_transitions(table: Table) -> tuple[Figure, np.ndarray]:
+def plot_transitions(table: Table, law: NeighborLaw | None = None) -> tuple[Figure, np.ndarray]:
     """Mean and largest number of transition points, and scutoids, against the ratio (paper, Fig. 13)."""
     figure, axes = _ratio_panels(table, 3)
     columns = ("transitions", "transitions_max", "scutoid_fraction")
@@ -73,6 +70,7 @@ def plot_transitions(table: Table) -> tuple[Figure, np.ndarray]:
         for panel, column in zip(axes, columns, strict=True):
             scale = 100 if column == "scutoid_fraction" else 1
             band(panel, rows["ratio"], scale * rows[column], color, dashes, label)
+    _draw_law(axes[0], table, law)
     _draw_gland(axes[0], published.GLAND.transitions)
     _draw_gland(axes[2], 100 * published.GLAND.scutoid_fraction)
     ratio, fraction = published.SCUTOIDS_ABOVE
@@ -130,6 +128,13 @@ def _ratio_panels(table: Table, count: int) -> tuple[Figure, np.ndarray]:
         panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         panel.xaxis.set_minor_locator(NullLocator())
     return figure, axes
+
+
+def _draw_law(axes: Axes, table: Table, law: NeighborLaw | None) -> None:
+    if law:
+        ratios = np.geomspace(table["ratio"].min(), table["ratio"].max(), 200)
+        label = f"logistic law, annealed: {law.low:.2f} to {law.high:.2f}"
+        axes.plot(ratios, law.predict(ratios), color="black", lw=1, ls=(0, (6, 2)), label=label)
 
 
 def _draw_gland(axes: Axes, value: float) -> None:
