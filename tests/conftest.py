@@ -21,7 +21,7 @@ settings.load_profile("jaxtissue")
 
 @pytest.fixture(scope="session", autouse=True)
 def keep_compiled(tmp_path_factory):
-    """All tests, and the commands they start, share what one of them compiled: it takes most of their time."""
+    """All tests, and the commands they start, share what one of them compiled: most of their time."""
     options = {
         "jax_compilation_cache_dir": str(tmp_path_factory.mktemp("compiled")),
         "jax_persistent_cache_min_compile_time_secs": 0.0,

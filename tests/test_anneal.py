@@ -1,4 +1,4 @@
-"""Runs: schedules, stopping, bit-identical continuation, replays, the smallest and the oddest tissues, every rule."""
+"""Runs: schedules, stopping, going on to the bit, replays, the smallest and oddest tissues, every rule."""
 
 import jax
 import jax.numpy as jnp
@@ -139,7 +139,7 @@ def test_tubes_of_other_sizes_need_no_program_of_their_own(start) -> None:
 
 
 def sweep_with(candidates: int, monkeypatch, sweeps: int):
-    """State, trail and drift of some sweeps of 60 cells, on so many candidates a side; and how often played."""
+    """State, trail and drift of some sweeps of 60 cells on so few candidates a side; how often played."""
     monkeypatch.setattr(anneal, "CANDIDATES", candidates)
     run, plays = annealer(sweeps), []
 

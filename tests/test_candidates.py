@@ -39,7 +39,7 @@ def quick_compile():
 
 @pytest.fixture(scope="module")
 def tissue():
-    """300 cells, their candidates, which of these stop them, how clear of it the others are, and all contacts."""
+    """300 cells, their candidates, which of these stop them, how clear the others are, and all contacts."""
     positions = TUBE.random_positions(jax.random.key(3), CELLS)
     sides = find_candidates(positions, TUBE, MARGIN * BOUND)
     lines = plan_lines(TUBE, CELLS, PRESETS["draft"]), plan_lines(TUBE, CELLS, SPARSE)
@@ -120,11 +120,11 @@ def test_lists_are_complete(n: int, ratio: float) -> None:
     positions = tube.random_positions(jax.random.key(3), n)
     sides = find_candidates(positions, tube)
     assert sides.shape[:2] == (n, 2)
-    assert tiling_defect(positions, tube, jnp.asarray(sides)) < 1e-5  # float32 sums over a line, measured 2e-6
+    assert tiling_defect(positions, tube, jnp.asarray(sides)) < 1e-5  # float32 sums, measured 2e-6
 
 
 def test_the_clearest_candidates_are_left_out(tissue) -> None:
-    positions, sides, touched, clear, _ = tissue
+    _, sides, touched, clear, _ = tissue
     own = np.arange(CELLS)[:, None, None]
     assert (clear[touched] == -1).all() and np.isinf(clear[sides == own]).all()
     assert (clear[~touched] >= 0).all()

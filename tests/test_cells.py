@@ -56,8 +56,8 @@ def test_presets_hold_their_bars(name: str, preset: str, load_reference) -> None
     with jax.enable_x64(name == "near_coincident"):  # its two backbones are 1e-3 apart: float32 can't
         cells, defect = measure_tissue(jnp.asarray(positions, float), tube, PRESETS[preset])
     volume_bar, area_bar, total_bar = BARS[preset]
-    # float32 rounding, measured up to 2e-6; walls between cells at the same height are given a slope, seen from
-    # either cell a thousandth of the chord between them (at most 2 R_a) apart: measured 6.5e-5 of the length
+    # float32 rounding, measured up to 2e-6; walls between cells at the same height are given a slope, seen
+    # from either cell a thousandth of the chord between them (at most 2 R_a) apart: measured 6.5e-5
     assert defect < (TILES if name == "duplicate_x" else 1e-5)
     assert off(cells.volume, data["V"]) <= volume_bar
     assert abs(np.sum(cells.volume, dtype=float) / tube.volume - 1) <= volume_bar / 3
@@ -146,8 +146,8 @@ def test_a_ring_of_cells_has_radial_walls(count: int) -> None:
     walls, ring = 2 * 10 * (3 - 1), np.pi * 10 / count
     expected = [ring * (9 - 1), walls, ring * 2, ring * 6, 20, 20]
     for name, size in zip(SIZES, expected, strict=True):
-        # the walls are planes given a slope of a thousandth: at the end they stand 1e-3 of half the chord aside,
-        # 5e-4 of such a cell, 1.3e-3 of its apical area
+        # the walls are planes given a slope of a thousandth: at the end they stand 1e-3 of half the chord
+        # aside, 5e-4 of such a cell, 1.3e-3 of its apical area
         np.testing.assert_allclose(getattr(cells, name), size, rtol=1.5e-3 if name == "apical_area" else 1e-3)
     assert cells.touches_end.all()
 

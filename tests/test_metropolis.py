@@ -25,7 +25,7 @@ PRESET = PRESETS["draft"]
 
 
 class Bench:
-    """A tissue in float64, and sweeps of it under any rounds, temperature and seed: all on one set of lists."""
+    """A tissue in float64, and sweeps of it under any rounds, temperature and seed, on one set of lists."""
 
     def __init__(self) -> None:
         self.annealer = Annealer(tube_model(TUBE, CELLS), PRESET, "is-mh", 5, constant_schedule(2.0, 20))
@@ -89,7 +89,8 @@ def test_local_differences_add_up_to_the_global_energy(bench) -> None:
 def test_mh_and_is_mh_decide_alike(bench) -> None:
     order = bench.rounds[bench.rounds >= 0]
     # a move put off is played last, so only sweeps without one visit in this order
-    seed = next(seed for seed in range(10) if bench.sweep(bench.rounds, seed=seed)[1].rounds == len(bench.rounds))
+    played = (bench.sweep(bench.rounds, seed=seed)[1].rounds for seed in range(10))
+    seed = next(seed for seed, rounds in enumerate(played) if rounds == len(bench.rounds))
     together, info = bench.sweep(bench.rounds, seed=seed)
     alone, accepted, left_cell = None, 0, 0
     for start in range(0, CELLS, CAPACITY):  # a sweep in parts is one sweep: draws belong to cells
