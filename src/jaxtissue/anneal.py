@@ -23,7 +23,7 @@ from jaxtissue.spread import covering_radius
 
 ALGORITHMS = ("is-mh", "mh")
 CONFLICTS = ("2-hop", "3-hop", "4-hop", "8-phi")
-SPAN = 5  # sweeps between renewals of lists and rounds, at the sweeps that it divides
+SPAN = 5  # the most sweeps between renewals of lists and rounds
 CANDIDATES = 24  # on each side of a cell during a sweep: three times as many as bound a cell
 MARGIN = 4  # longest moves by which a candidate may lie on the other side of a cell
 WINDOW = (
@@ -34,6 +34,11 @@ CAPACITY = 64  # rounds are padded to a multiple of it
 SPARSE = Resolution(4, 2)  # lines on which it is seen how clear of a cell its candidates are
 PROGRAMS: dict[Any, Callable] = {}  # compiled, for all runs alike in shapes
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
+
+
+def renews_at(sweep: int) -> bool:
+    """Whether lists and rounds are renewed after a sweep: after each of the first, when cells move most."""
+    return sweep <= 8 or sweep % SPAN == 0
 
 
 class Measured(NamedTuple):
@@ -125,12 +130,13 @@ class Annealer:
     def advance(
         self, state: AnnealState
     ) -> tuple[AnnealState, list[SweepRecord], Float[np.ndarray, "sweeps n 2"]]:
-        """The sweeps up to the next that `SPAN` divides, or to the schedule's last.
+        """The sweeps up to the next at which lists are renewed, or to the schedule's last.
 
         The new state, a row for each sweep, and the backbones after each.
         """
         begin, compiled = time.perf_counter(), self.compile_seconds
-        sweeps = min(SPAN - state.sweep % SPAN, len(self.temperatures) - state.sweep)
+        ahead = range(state.sweep + 1, len(self.temperatures))
+        sweeps = next(filter(renews_at, ahead), len(self.temperatures)) - state.sweep
         after, trail, drift = self._play(state, self._rounds(state), sweeps)
         seconds = (time.perf_counter() - begin - (self.compile_seconds - compiled)) / sweeps
         sizes = np.stack([trail.volume, trail.lateral_area])

@@ -13,7 +13,6 @@ from jaxtissue.lines import Lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import END, Posts, Walls, posts, see_lines, see_rivals, settled, stop, strips, walls
 
-NONE = -2
 BLOCK = 136  # cells measured at once, 8 times an odd number: of 128 the rows evict each other from the cache
 
 
@@ -34,7 +33,7 @@ class Window(NamedTuple):
 
     sizes: CellGeometry
     reach: Float[Array, "lines 2 cells"]  # behind and ahead; -inf on lines that do not bear on the cell
-    by: Int[Array, "lines 2 cells"]  # the candidate that stops the cell there; END the tube; NONE none bears
+    by: Int[Array, "lines 2 cells"]  # the candidate that stops the cell there, END the tube
     onward: Bool[Array, "2 cells"]  # the cell goes on before the first lines, or after the last
 
 
@@ -61,8 +60,7 @@ def measure_window(
     sizes = CellGeometry(volume, area, *areas, *perimeters, touches_end=at_end)
     # a product, since a reduction would run one number at a time
     onward = jnp.asarray(edges, dtype) @ (inside & bears).astype(dtype) > 0
-    reach, by = jnp.where(bears[:, None], wall.reach, -jnp.inf), jnp.where(bears[:, None], by, NONE)
-    return Window(sizes, reach, by, onward)
+    return Window(sizes, jnp.where(bears[:, None], wall.reach, -jnp.inf), by, onward)
 
 
 def integrate(wall: Walls, step: Array, tube: Tube, lines: Lines, truth: Array) -> list[tuple[Array, Array]]:
@@ -121,7 +119,10 @@ class Survey(NamedTuple):
     onward: Bool[Array, "cells 2"]  # while measuring: the cell goes on before or after the windows seen
     wide: Bool[Array, "cells"]  # the cell goes on beyond the middle window
     reach: Float[Array, "cells 2 lines"]  # of the middle window
-    touched: Bool[Array, "cells 2 candidates"]  # the candidate stops the cell on some line
+    touched: Bool[Array, "cells 2 candidates"]  # the candidate stops the cell on some line that bears on it
+    stops: Bool[
+        Array, "cells 2 candidates"
+    ]  # or on another of the middle window, which else might bear on it
 
 
 def measure_cells(
@@ -149,7 +150,7 @@ def measure_cells(
         jnp.zeros((size, 2), bool),
         blank > 0,
         jnp.zeros((size, 2, len(lines.number)), dtype),
-        jnp.zeros((size, *neighbors.shape[1:]), bool),
+        *2 * [jnp.zeros((size, *neighbors.shape[1:]), bool)],
     )
 
     def measure(items: Array, shift: Array, done: Survey) -> Survey:
@@ -171,18 +172,17 @@ def add_window(items: Array, shift: Array, window: Window, done: Survey) -> Surv
             return known.at[items].max(more, mode="drop")
         return known.at[items].add(more, mode="drop")
 
-    middle = shift == 0
-    at, candidate = jnp.where(middle, items, len(done.onward)), window.by.transpose(2, 1, 0)
-    side = jnp.arange(2)[:, None]
-    touched = done.touched.at[
-        items[:, None, None], side, jnp.where(candidate < 0, done.touched.shape[2], candidate)
-    ]
+    at = jnp.where(shift == 0, items, len(done.onward))
+    side, none = jnp.arange(2)[:, None], done.touched.shape[2]
+    stopper = jnp.where(window.by == END, none, window.by).transpose(2, 1, 0)
+    toucher = jnp.where(window.reach.transpose(2, 1, 0) > -jnp.inf, stopper, none)
     return Survey(
         jax.tree.map(add, done.sizes, window.sizes),
         note_onward(items, shift, window, done.onward),
         done.wide.at[at].set(window.onward.any(axis=0), mode="drop"),
         done.reach.at[at].set(jnp.moveaxis(window.reach, -1, 0).swapaxes(1, 2), mode="drop"),
-        touched.set(True, mode="drop"),
+        done.touched.at[items[:, None, None], side, toucher].set(True, mode="drop"),
+        done.stops.at[at[:, None, None], side, stopper].set(True, mode="drop"),
     )
 
 

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from jaxtissue import io
-from jaxtissue.anneal import SPAN, Annealer, AnnealState
+from jaxtissue.anneal import SPAN, Annealer, AnnealState, renews_at
 from jaxtissue.candidates import measure_tissue
 from jaxtissue.lines import PRESETS, resolution_named
 from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes
@@ -51,7 +51,7 @@ class Run:
         Only between spans of sweeps, where a longer run would be too: the odd sweeps at a run's end are
         played again if it goes on.
         """
-        if self.state.sweep % SPAN:
+        if not renews_at(self.state.sweep):
             return
         kept = np.array(list(self.kept)), np.stack(list(self.kept.values()))
         io.save_checkpoint(self.folder / "checkpoint.npz", io.Checkpoint(self.state, *kept))

@@ -114,6 +114,6 @@ def list_first(
     for pair in pairs:
         for cell, rival in (pair, pair[::-1]):
             here = sides[cell] == rival
-            news |= bool((clear[cell][here] >= 0).any())
-            clear[cell][here] = -1
+            news |= bool((clear[cell][here] > -2).any())
+            clear[cell][here] = -2
     return news

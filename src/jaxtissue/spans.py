@@ -32,7 +32,8 @@ def look(
 ) -> tuple[Survey, Float[Array, "n 2 candidates"]]:
     """Measure a whole tissue, and on fewer lines how clear of each cell its candidates are."""
     _, seen = measure_cells(positions, model.tube, lines[0], sides)
-    return seen, jnp.where(seen.touched, -1, clearance(positions, model.tube, lines[1], sides))
+    clear = clearance(positions, model.tube, lines[1], sides)
+    return seen, jnp.where(seen.touched, -2, jnp.where(seen.stops, -1, clear))
 
 
 def play(

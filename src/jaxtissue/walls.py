@@ -181,8 +181,15 @@ def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth:
         z, y = line.z * cosine + line.y * sine, line.y * cosine - line.z * sine
         foot, per_gap = larger(z, tube.apical_radius), 0.5 / half
         reach = half + (y * y + (foot - z) ** 2 - line.square) * per_gap / 2
-        slope = jnp.where(end, 0, (foot * y - line.foot * line.y) * per_gap)
+        slope = (foot * y - line.foot * line.y) * per_gap
         tilt = (foot * z - line.foot * line.z) * per_gap
+        # all but a radial plane: slope towards that, half way between the backbones, where the reach is half
+        level = half <= 0.5005 * LEVEL * tube.apical_radius * jnp.sqrt(sine**2 + (1 - cosine) ** 2)
+        # tangent of the angle from the plane, and by its series the angle
+        tangent = (line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12)
+        aside = tangent * (1 - tangent**2 * (1 / 3 - tangent**2 * (1 / 5 - tangent**2 / 7)))
+        slope = jnp.where(level & (jnp.abs(aside) > 1e-3), (reach - half) / aside, slope)
+        slope, tilt = jnp.where(end, 0, slope), jnp.where(level, 0, tilt)
         area = jnp.sqrt(1 + (slope**2 + tilt**2) / line.radius**2)
         edge = jnp.sqrt(1 + slope**2 / line.radius**2)
         return Walls(jnp.where(end, ends, reach), slope, *(jnp.where(end, 0, size) for size in (area, edge)))
