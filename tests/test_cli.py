@@ -488,5 +488,5 @@ def test_force_removes_only_what_a_run_writes(tmp_path):
     assert main([*SMALL, "--sweeps", "1", "--out", str(folder), "--force"]) == 0
     assert (folder / "notes.txt").read_text() == "mine"
     # the one sweep is played again if the run goes on, in a whole span
-    assert io.load_checkpoint(folder / "checkpoint.npz").state.sweep == 0
+    assert io.load_checkpoint(folder / "checkpoint.npz").state.sweep == 1
     assert count_rows(folder / "sweeps.csv") == 2
