@@ -487,6 +487,5 @@ def test_force_removes_only_what_a_run_writes(tmp_path):
     assert (folder / "checkpoint.npz").read_text() == "old"
     assert main([*SMALL, "--sweeps", "1", "--out", str(folder), "--force"]) == 0
     assert (folder / "notes.txt").read_text() == "mine"
-    # the one sweep is played again if the run goes on, in a whole span
     assert io.load_checkpoint(folder / "checkpoint.npz").state.sweep == 1
     assert count_rows(folder / "sweeps.csv") == 2
