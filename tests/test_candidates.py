@@ -23,6 +23,7 @@ from jaxtissue.metropolis import move_bound
 from jaxtissue.shortlists import around, find_unlisted, list_first, nearest_sides
 from jaxtissue.spans import look
 from jaxtissue.tube import Tube
+from jaxtissue.walls import LEVEL
 
 TUBE = Tube(length=20.0, apical_radius=1.0, basal_radius=3.0)
 CELLS = 300
@@ -95,7 +96,7 @@ def test_sides_are_behind_and_ahead(tissue) -> None:
     axial, own = np.asarray(positions, float)[:, 0], np.arange(CELLS)[:, None]
     for margin in (0.0, 0.5):
         sides = sided(lists, positions, TUBE, margin)
-        wide = max(margin, 2e-3)  # twice the height at which two cells can be level, at this lumen
+        wide = max(margin, 2 * LEVEL * TUBE.apical_radius)  # twice the height at which two cells can be level
         for side, sign in ((0, -1), (1, 1)):
             rivals = sides[:, side]
             gap = sign * (axial[rivals] - axial[:, None])

@@ -19,7 +19,7 @@ from jaxtissue.walls import LEVEL, Posts, posts, see_angles, see_rivals, settled
 
 REACH = 2.5  # mean cell widths on either side of a backbone that a first window of lines covers
 NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
-TILES = 1e-4  # relative defect of the lengths along a line above which lists are taken as incomplete
+TILES = 1e-5  # relative defect of the lengths along a line above which lists are taken as incomplete
 
 _measure = jax.jit(measure_cells)
 

@@ -18,7 +18,7 @@ from jaxtyping import Array, Complex, Float, Int
 from jaxtissue.lines import Lines
 from jaxtissue.tube import Tube
 
-LEVEL = 1e-3  # slope against the axis given to walls that are closer to parallel to it
+LEVEL = 3e-4  # slope against the axis given to walls closer to parallel to it: the root of float32's rounding
 END = -1
 FAR = 1e30  # beyond any tube, and finite: its lowest bits may be changed
 CHUNK = 24  # candidates compared in one unrolled loop
@@ -185,9 +185,10 @@ def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth:
         tilt = (foot * z - line.foot * line.z) * per_gap
         # all but a radial plane: slope towards that, half way between the backbones, where the reach is half
         level = half <= 0.5005 * LEVEL * tube.apical_radius * jnp.sqrt(sine**2 + (1 - cosine) ** 2)
-        # tangent of the angle from the plane, and by its series the angle
+        # tangent of the angle from the plane, of half of it, and by its series the angle
         tangent = (line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12)
-        aside = tangent * (1 - tangent**2 * (1 / 3 - tangent**2 * (1 / 5 - tangent**2 / 7)))
+        tangent = tangent / (1 + jnp.sqrt(1 + tangent**2))
+        aside = 2 * tangent * (1 - tangent**2 * (1 / 3 - tangent**2 * (1 / 5 - tangent**2 / 7)))
         slope = jnp.where(level & (jnp.abs(aside) > 1e-3), (reach - half) / aside, slope)
         slope, tilt = jnp.where(end, 0, slope), jnp.where(level, 0, tilt)
         area = jnp.sqrt(1 + (slope**2 + tilt**2) / line.radius**2)
