@@ -20,7 +20,7 @@ demo: setup
 	$(BIN)/jaxtissue anneal --apical-radius 5 --out runs/demo-ra5 --force
 
 test: setup
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 notebooks: setup
 	$(BIN)/python -m pytest --nbmake notebooks

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from jaxtissue import anneal
-from jaxtissue.anneal import CONFLICTS, PROGRAMS, SPAN, Annealer, AnnealState, renews_at
+from jaxtissue.anneal import PROGRAMS, SPAN, Annealer, AnnealState, renews_at
+from jaxtissue.coloring import CONFLICTS
 from jaxtissue.energy import epithelial_energy, tube_model
 from jaxtissue.lines import PRESETS
 from jaxtissue.schedules import constant_schedule, geometric_schedule, has_stalled
@@ -25,7 +26,7 @@ def quick_compile():
 
 
 def annealer(
-    sweeps: int = 4, algorithm: str = "is-mh", conflicts: str = "3-hop", seed: int = 0, tube: Tube = TUBE
+    sweeps: int = 4, algorithm: str = "is-mh", conflicts: str = "near", seed: int = 0, tube: Tube = TUBE
 ) -> Annealer:
     model, temperatures = tube_model(tube, CELLS), constant_schedule(0.5, sweeps)
     return Annealer(model, PRESETS["draft"], algorithm, seed, temperatures, conflicts)

@@ -20,7 +20,7 @@ from jaxtissue.energy import tube_model
 from jaxtissue.exact import exact_cells
 from jaxtissue.lines import PRESETS, plan_lines
 from jaxtissue.metropolis import move_bound
-from jaxtissue.shortlists import around, find_unlisted, list_first, nearest_sides
+from jaxtissue.shortlists import STOPS, TOUCHES, around, find_unlisted, list_first, nearest_sides
 from jaxtissue.spans import look
 from jaxtissue.tube import Tube
 from jaxtissue.walls import LEVEL
@@ -127,8 +127,8 @@ def test_lists_are_complete(n: int, ratio: float) -> None:
 def test_the_clearest_candidates_are_left_out(tissue) -> None:
     _, sides, touched, clear, _ = tissue
     own = np.arange(CELLS)[:, None, None]
-    assert (clear[touched] == -2).all() and np.isinf(clear[sides == own]).all()
-    assert (clear[~touched] >= -1).all()  # -1: stops the cell on a line beside it
+    assert (clear[touched] == TOUCHES).all() and np.isinf(clear[sides == own]).all()
+    assert (clear[~touched] >= STOPS).all()
     few = nearest_sides(sides, clear, CANDIDATES)
     assert few.shape == (CELLS, 2, CANDIDATES)
     assert not len(find_unlisted(touched, sides, few))

@@ -35,7 +35,7 @@ class Bench:
         self.near = _shortlists(measured.sides, measured.clear, 0)
         self.tissue = tissue_state(jnp.asarray(self.start.positions), measured.seen)
         self.width = self.annealer._rounds(self.start)[0].shape[1]  # so that all share the run's program
-        self.rounds = color(hop_conflicts(measured.contacts, 3), self.width)
+        self.rounds = color(hop_conflicts(measured.contacts(), 3), self.width)
         self.measure = jax.jit(measure_cells)
 
     def sweep(self, rounds: np.ndarray, temperature: float = 2.0, seed: int = 0, tissue=None):

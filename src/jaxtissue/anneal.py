@@ -13,23 +13,22 @@ from scipy import sparse
 from jaxtissue.candidates import contact_graph, find_candidates, padded
 from jaxtissue.cells import CellGeometry, Survey
 from jaxtissue.changes import Neighborhoods, tissue_state
-from jaxtissue.coloring import color, distance_conflicts, hop_conflicts
+from jaxtissue.coloring import CONFLICTS, color, distance_conflicts, hop_conflicts
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.metropolis import SweepInfo, move_bound
-from jaxtissue.shortlists import around, find_unlisted, list_first, nearest_sides
+from jaxtissue.shortlists import TOUCHES, around, find_unlisted, list_first, nearest_sides
 from jaxtissue.spans import Trail, energy_terms, look, play
 from jaxtissue.spread import covering_radius
 
 ALGORITHMS = ("is-mh", "mh")
-CONFLICTS = ("2-hop", "3-hop", "4-hop", "8-phi")
 SPAN = 5  # the most sweeps between renewals of lists and rounds
 CANDIDATES = 24  # on each side of a cell during a sweep: three times as many as bound a cell
 MARGIN = 4  # longest moves by which a candidate may lie on the other side of a cell
 WINDOW = (
     1.5  # mean cell widths on either side of a backbone that the first window of lines covers: most cells
 )
-ROUNDS = 32  # sets that the cells are spread over at least: coloring 3 hops takes 33 to 46
+ROUNDS = 32  # sets that the cells are spread over at least: coloring takes 36 to 45
 CAPACITY = 64  # rounds are padded to a multiple of it
 SPARSE = Resolution(4, 2)  # lines on which it is seen how clear of a cell its candidates are
 PROGRAMS: dict[Any, Callable] = {}  # compiled, for all runs alike in shapes
@@ -42,12 +41,15 @@ def renews_at(sweep: int) -> bool:
 
 
 class Measured(NamedTuple):
-    """A state measured: its cells, what was seen on the way, and who touches whom."""
+    """A state measured: its cells, and what was seen on the way."""
 
     seen: Survey
     sides: Int[np.ndarray, "n 2 candidates"]
     clear: Float[np.ndarray, "n 2 candidates"]
-    contacts: sparse.csr_array
+
+    def contacts(self, within: float = 0.0) -> sparse.csr_array:
+        """Who stops whom, or could if one of them were moved by at most `within`: [n, n], symmetric."""
+        return contact_graph(self.sides, self.clear < (within**2 if within else TOUCHES + 1))
 
     @property
     def sizes(self) -> Float[np.ndarray, "2 1 n"]:
@@ -88,7 +90,8 @@ class Annealer:
     """Runs a tissue through a schedule of temperatures, one sweep at a time.
 
     `model` is what the energy depends on, `resolution` how finely cells are measured, `algorithm` "is-mh" or
-    "mh", `conflicts` the rule of move independence (2, 3 or 4 hops of contact, or the paper's 8 phi).
+    "mh". `conflicts` is the rule of move independence: "near", two moves conflict if one cell touches both
+    movers, or could if they were moved as far as may be; 2, 3 or 4 hops of contact; or the paper's 8 phi.
     A run is a function of `seed` and of the state it starts from alone. Raises `ValueError` for what it can't
     run.
     """
@@ -100,7 +103,7 @@ class Annealer:
         algorithm: str,
         seed: int,
         temperatures: Float[np.ndarray, "sweeps"],
-        conflicts: str = "3-hop",
+        conflicts: str = "near",
     ) -> None:
         if algorithm not in ALGORITHMS:
             raise ValueError(f"unknown algorithm {algorithm!r}; use {' or '.join(ALGORITHMS)}")
@@ -223,7 +226,7 @@ class Annealer:
         sides = self._find(place, state.widths[0])
         lines = self._plan(len(place)), plan_lines(tube, len(place), SPARSE)
         seen, clear = self._run(look, place, self.model, lines, sides)
-        self._last = state, Measured(seen, sides, np.asarray(clear), contact_graph(sides, seen.touched))
+        self._last = state, Measured(seen, sides, np.asarray(clear))
         return self._last[1]
 
     def _find(self, place: Float[Array, "n 2"], width: int) -> Int[np.ndarray, "n 2 candidates"]:
@@ -244,8 +247,10 @@ class Annealer:
             apical = np.asarray(self.model.tube.embed(jnp.asarray(state.positions)).apical)
             radius = float(covering_radius(jnp.asarray(state.positions), self.model.tube))
             graph = distance_conflicts(apical, 8 * radius)
+        elif self.conflicts == "near":
+            graph = hop_conflicts(self._measure(state).contacts(float(move_bound(self.model, n))), 2)
         else:
-            graph = hop_conflicts(self._measure(state).contacts, int(self.conflicts[0]))
+            graph = hop_conflicts(self._measure(state).contacts(), int(self.conflicts[0]))
         return SPAN * [color(graph, max(1, round(n / ROUNDS)))]
 
     def _run(self, function: Callable, *arguments: Any) -> Any:

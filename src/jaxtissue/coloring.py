@@ -5,6 +5,8 @@ from jaxtyping import Int
 from scipy import sparse
 from scipy.spatial import KDTree
 
+CONFLICTS = ("near", "2-hop", "3-hop", "4-hop", "8-phi")  # rules of which moves may be made together
+
 
 def hop_conflicts(contacts: sparse.csr_array, hops: int) -> sparse.csr_array:
     """Moves conflict if their cells are within `hops` contacts: [n, n], symmetric, no diagonal."""

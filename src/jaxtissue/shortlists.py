@@ -16,6 +16,7 @@ from jaxtissue.tube import Tube
 from jaxtissue.walls import FAR, Grid, Posts, larger, meeting, posts, see_lines, see_others, settled
 
 TINY = 1e-30
+TOUCHES, STOPS = -2, -1  # clearance of who touches a cell, and of who stops it on a line that bears no part
 
 
 def clearance(
@@ -114,6 +115,6 @@ def list_first(
     for pair in pairs:
         for cell, rival in (pair, pair[::-1]):
             here = sides[cell] == rival
-            news |= bool((clear[cell][here] > -2).any())
-            clear[cell][here] = -2
+            news |= bool((clear[cell][here] > TOUCHES).any())
+            clear[cell][here] = TOUCHES
     return news

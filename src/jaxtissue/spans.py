@@ -12,7 +12,7 @@ from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.energy import Model, lateral_tension, volume_elasticity
 from jaxtissue.lines import Lines
 from jaxtissue.metropolis import SweepInfo, sweep
-from jaxtissue.shortlists import clearance
+from jaxtissue.shortlists import STOPS, TOUCHES, clearance
 
 
 class Trail(NamedTuple):
@@ -33,7 +33,7 @@ def look(
     """Measure a whole tissue, and on fewer lines how clear of each cell its candidates are."""
     _, seen = measure_cells(positions, model.tube, lines[0], sides)
     clear = clearance(positions, model.tube, lines[1], sides)
-    return seen, jnp.where(seen.touched, -2, jnp.where(seen.stops, -1, clear))
+    return seen, jnp.where(seen.touched, TOUCHES, jnp.where(seen.stops, STOPS, clear))
 
 
 def play(

@@ -29,7 +29,7 @@ class Annealing:
     cells: int
     sweeps: int
     algorithm: str = "is-mh"
-    conflicts: str = "3-hop"
+    conflicts: str = "near"
 
     @property
     def name(self) -> str:
