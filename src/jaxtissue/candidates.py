@@ -146,7 +146,7 @@ def tiling_defect(
     ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
     first = jnp.asarray(lists < np.arange(len(positions)))
     rivals = settled(lambda: see_rivals(own, others, first, tube), truth)
-    grid = see_angles(radius, offset, tube)
+    grid = see_angles(radius, offset)
     by = stop(grid, rivals, ends, tube, truth)
     length = walls(by, rivals, ends, grid, tube, truth).reach.sum(axis=1)
     return jnp.abs(jnp.maximum(length, 0).sum(axis=1) / tube.length - 1).max()

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.lines import Lines
 from jaxtissue.tube import Tube
-from jaxtissue.walls import END, Posts, Walls, posts, see_lines, see_rivals, settled, stop, strips, walls
+from jaxtissue.walls import END, Posts, Walls, posts, see_rivals, see_window, settled, stop, strips, walls
 
 BLOCK = 136  # cells measured at once, 8 times an odd number: of 128 the rows evict each other from the cache
 
@@ -38,20 +38,21 @@ class Window(NamedTuple):
 
 
 def measure_window(
-    own: Posts, others: Posts, first: Array, tube: Tube, lines: Lines, shift: Array | int = 0
+    own: Posts, others: Posts, first: Array, tube: Tube, lines: Lines, shift: Int[Array, "cells"]
 ) -> Window:
     """Measure the cells of the backbones `own`, [cells], among their candidates, [candidates, 2, cells].
 
-    `first` tells the candidates with lower numbers than the cell: at equal heights these are behind.
+    Each in the window `shift` windows onward. `first` tells the candidates with lower numbers than the cell:
+    at equal heights these are behind.
     """
     dtype, truth = own.axial.dtype, own.axial[0] > -1
     ends = jnp.stack([own.axial, tube.length - own.axial])
-    grid = settled(lambda: see_lines(lines, tube, dtype, shift), truth)
+    grid = see_window(lines, tube, dtype, shift, truth)
     rivals = settled(lambda: see_rivals(own, others, first, tube), truth)
     by = stop(grid, rivals, ends, tube, truth)
     wall = walls(by, rivals, ends, grid, tube, truth)
     inside, step = wall.reach[:, 0] + wall.reach[:, 1] > 0, lines.step(dtype, shift)
-    strip = jnp.pad((inside[1:] | inside[:-1]) & (step[:-1, None] > 0), ((1, 1), (0, 0)))
+    strip = jnp.pad((inside[1:] | inside[:-1]) & (step[:-1] > 0), ((1, 1), (0, 0)))
     bears = strip[1:] | strip[:-1]
     edges = np.stack([lines.number == sign * np.array(lines.half)[lines.layer] for sign in (-1, 1)])
     at_end = ((by == END) & (inside & bears)[:, None]).any(axis=(0, 1))
@@ -85,38 +86,62 @@ def integrate(wall: Walls, step: Array, tube: Tube, lines: Lines, truth: Array) 
     return found
 
 
+class Queue(NamedTuple):
+    """Windows to be measured: a ring of items, each with how many windows onward, and from where to where."""
+
+    item: Int[Array, "capacity"]
+    shift: Int[Array, "capacity"]
+    begin: Int[Array, ""]
+    end: Int[Array, ""]
+
+
 def through_windows(
-    measure: Callable[[Array, Array, Any], Any], count: Array | int, size: int, width: int, done: Any
+    measure: Callable[[Array, Array, Any], tuple[Any, Array]],
+    count: Array | int,
+    size: int,
+    width: int,
+    done: Any,
 ) -> Any:
     """Measure `count` of at most `size` cells in the middle window, then those that go on beyond it.
 
-    `measure(items, shift, done)` adds to `done` what `width` items (those from `size` on are none) show in a
-    window, and notes in `done.onward`, [size, 2], whether they go on beyond it. Windows to the right and to
-    the left, further and further, take their turns.
+    `measure(items, shift, done)` adds to `done` what `width` items (those from `size` on are none) show, each
+    in the window `shift` windows onward, and tells which go on, [2, width], before the window and after.
+    A cell that goes on joins the end of the queue, so blocks stay full whatever windows they hold.
     """
+    # a cell is in the queue once for each direction at most
+    capacity = 2 * size + width
 
-    def turn(state: tuple[Array, Array, Array, Any]) -> tuple[Array, Array, Array, Any]:
-        number, order, count, done = state
-        shift = jnp.where(number % 2 == 1, 1, -1) * ((number + 1) // 2)
+    def block(state: tuple[Queue, Any]) -> tuple[Queue, Any]:
+        queue, done = state
+        place = queue.begin + jnp.arange(width, dtype=jnp.int32)
+        at = place % capacity
+        items, shift = jnp.where(place < queue.end, queue.item[at], size), queue.shift[at]
+        done, onward = measure(items, shift, done)
+        onward &= jnp.stack([shift <= 0, shift >= 0]) & (items < size)
+        rank = jnp.cumsum(onward.ravel(), dtype=jnp.int32).reshape(onward.shape)
+        to = jnp.where(onward, (queue.end + rank - 1) % capacity, capacity)
+        item, onto = jnp.broadcast_to(items, onward.shape), shift + jnp.array([[-1], [1]], jnp.int32)
+        return Queue(
+            queue.item.at[to].set(item, mode="drop"),
+            queue.shift.at[to].set(onto, mode="drop"),
+            jnp.minimum(queue.begin + width, queue.end),
+            queue.end + rank[-1, -1],
+        ), done
 
-        def block(k: Array, done: Any) -> Any:
-            return measure(jax.lax.dynamic_slice_in_dim(order, k * width, width), shift, done)
-
-        done = jax.lax.fori_loop(0, -(-count // width), block, done)
-        beyond = jnp.where(number % 2 == 0, done.onward[:, 1], done.onward[:, 0])
-        items = jax.lax.sort(jnp.where(beyond, jnp.arange(size), size))
-        return number + 1, order.at[:size].set(items), beyond.sum(dtype=jnp.int32), done
-
-    order = jnp.minimum(jnp.arange(size + width), size)
-    start = jnp.zeros((), jnp.int32), order, jnp.asarray(count, jnp.int32), done
-    return jax.lax.while_loop(lambda state: (state[2] > 0) | state[3].onward.any(), turn, start)[3]
+    start = Queue(
+        jnp.arange(capacity, dtype=jnp.int32),
+        jnp.zeros(capacity, jnp.int32),
+        jnp.zeros((), jnp.int32),
+        jnp.asarray(count, jnp.int32),
+    )
+    _, done = jax.lax.while_loop(lambda state: state[0].begin < state[0].end, block, (start, done))
+    return done
 
 
 class Survey(NamedTuple):
     """What measuring cells tells beside their sizes."""
 
     sizes: CellGeometry
-    onward: Bool[Array, "cells 2"]  # while measuring: the cell goes on before or after the windows seen
     wide: Bool[Array, "cells"]  # the cell goes on beyond the middle window
     reach: Float[Array, "cells 2 lines"]  # of the middle window
     touched: Bool[Array, "cells 2 candidates"]  # the candidate stops the cell on some line that bears on it
@@ -147,18 +172,17 @@ def measure_cells(
     sizes = CellGeometry(blank, blank, *surfaces, touches_end=blank > 0)
     start = Survey(
         sizes,
-        jnp.zeros((size, 2), bool),
         blank > 0,
         jnp.zeros((size, 2, len(lines.number)), dtype),
         *2 * [jnp.zeros((size, *neighbors.shape[1:]), bool)],
     )
 
-    def measure(items: Array, shift: Array, done: Survey) -> Survey:
+    def measure(items: Array, shift: Array, done: Survey) -> tuple[Survey, Array]:
         members = which[items]
         rivals = neighbors[members].transpose(2, 1, 0)
         own, others = (Posts(*(column[at] for column in table)) for at in (members, rivals))
         window = measure_window(own, others, rivals < members, tube, lines, shift)
-        return add_window(items, shift, window, done)
+        return add_window(items, shift, window, done), window.onward
 
     found = through_windows(measure, size, size, width, start)
     return found.sizes, found
@@ -172,24 +196,14 @@ def add_window(items: Array, shift: Array, window: Window, done: Survey) -> Surv
             return known.at[items].max(more, mode="drop")
         return known.at[items].add(more, mode="drop")
 
-    at = jnp.where(shift == 0, items, len(done.onward))
+    at = jnp.where(shift == 0, items, len(done.wide))
     side, none = jnp.arange(2)[:, None], done.touched.shape[2]
     stopper = jnp.where(window.by == END, none, window.by).transpose(2, 1, 0)
     toucher = jnp.where(window.reach.transpose(2, 1, 0) > -jnp.inf, stopper, none)
     return Survey(
         jax.tree.map(add, done.sizes, window.sizes),
-        note_onward(items, shift, window, done.onward),
         done.wide.at[at].set(window.onward.any(axis=0), mode="drop"),
         done.reach.at[at].set(jnp.moveaxis(window.reach, -1, 0).swapaxes(1, 2), mode="drop"),
         done.touched.at[items[:, None, None], side, toucher].set(True, mode="drop"),
         done.stops.at[at[:, None, None], side, stopper].set(True, mode="drop"),
     )
-
-
-def note_onward(
-    items: Array, shift: Array, window: Window, known: Bool[Array, "size 2"]
-) -> Bool[Array, "size 2"]:
-    """Whether cells go on: on both sides of the middle window, else on that side to which a window lies."""
-    keep = jnp.stack([shift > 0, shift < 0])
-    onward = jnp.where(keep, known[jnp.minimum(items, len(known) - 1)], window.onward.T)
-    return known.at[items].set(onward, mode="drop")

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxtissue.cells import CellGeometry, Survey, measure_window, note_onward, through_windows
+from jaxtissue.cells import CellGeometry, Survey, measure_window, through_windows
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines
 from jaxtissue.walls import LEVEL, Posts, Rivals, meeting, posts, see_lines
 
-ITEMS = 72  # cells measured at once, 8 times an odd number as in `cells`
+ITEMS = 88  # cells measured at once, 8 times an odd number as in `cells`
 ROOM = 20  # cells that a move may change, on average over a round: twice as many as it does
 
 
@@ -44,7 +44,6 @@ class Changes(NamedTuple):
     lateral_area: Float[Array, "items"]
     reach: Float[Array, "items 2 lines"]
     wide: Bool[Array, "items"]
-    onward: Bool[Array, "items 2"]
 
 
 def tissue_state(positions: Float[Array, "n 2"], seen: Survey) -> TissueState:
@@ -118,6 +117,28 @@ def find_collisions(changed: Array, movers: Array, near: Neighborhoods) -> Bool[
     return (changed & (first[cells] < order)).any(axis=1)
 
 
+def pack(
+    chosen: Bool[Array, "rows columns"], early: Bool[Array, "rows columns"], size: int
+) -> Int[Array, "size"]:
+    """The flat places of those chosen, the early ones first.
+
+    Ranks are products with triangles of ones: a third of the time of sorting.
+    """
+    columns, rows = jnp.triu(jnp.ones(2 * (chosen.shape[1],))), jnp.tril(jnp.ones(2 * (len(chosen),)), -1)
+    exact = jax.lax.Precision.HIGHEST
+
+    def ranks(some: Array) -> tuple[Array, Array]:
+        within = jnp.matmul(some.astype(columns.dtype), columns, precision=exact)
+        before = jnp.matmul(rows, within[:, -1], precision=exact)
+        return before[:, None] + within - 1, before[-1] + within[-1, -1]
+
+    rank, count = ranks(chosen & early)
+    late, _ = ranks(chosen & ~early)
+    rank = jnp.where(early, rank, count + late).astype(jnp.int32)
+    places = jnp.arange(chosen.size, dtype=jnp.int32).reshape(chosen.shape)
+    return jnp.zeros(size, jnp.int32).at[jnp.where(chosen, rank, size)].set(places, mode="drop")
+
+
 def measure_changes(
     changed: Array,
     movers: Array,
@@ -129,16 +150,15 @@ def measure_changes(
     """Measure every changed cell as if its one move were made, in as many blocks as it takes."""
     model, lines = rules
     size = room(changed)
-    places = jnp.arange(changed.size)
-    item = jax.lax.sort(jnp.where(changed.ravel(), places, changed.size))[:size]
-    item = jnp.minimum(item, changed.size - 1)
-    move, cell = item // changed.shape[1], members(movers, near).ravel()[item]
+    cells = members(movers, near)
+    item = pack(changed, state.wide[cells], size)
+    move, cell = item // changed.shape[1], cells.ravel()[item]
     total = changed.sum(dtype=jnp.int32)
     blank = jnp.zeros(size, state.volume.dtype)
     reach = jnp.zeros((size, *state.reach.shape[1:]), blank.dtype)
-    start = Changes(item, move, cell, total, blank, blank, reach, blank > 0, jnp.zeros((size, 2), bool))
+    start = Changes(item, move, cell, total, blank, blank, reach, blank > 0)
 
-    def measure(items: Array, shift: Array, done: Changes) -> Changes:
+    def measure(items: Array, shift: Array, done: Changes) -> tuple[Changes, Array]:
         mover, which = movers[move[items]], cell[items]
         rivals = near.sides[which].transpose(2, 1, 0)
 
@@ -148,15 +168,14 @@ def measure_changes(
             )
 
         window = measure_window(moved(which), moved(rivals), rivals < which, model.tube, lines, shift)
-        onward = note_onward(items, shift, window, done.onward)
         at = jnp.where(shift == 0, items, size)
-        return done._replace(
+        done = done._replace(
             volume=done.volume.at[items].add(window.sizes.volume, mode="drop"),
             lateral_area=done.lateral_area.at[items].add(window.sizes.lateral_area, mode="drop"),
             reach=done.reach.at[at].set(jnp.moveaxis(window.reach, -1, 0).swapaxes(1, 2), mode="drop"),
             wide=done.wide.at[at].set(window.onward.any(axis=0), mode="drop"),
-            onward=onward,
         )
+        return done, window.onward
 
     return through_windows(measure, total, size, ITEMS, start)
 

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxtissue.tube import Tube
 
@@ -74,15 +74,21 @@ class Lines(eqx.Module):
         """Number of layers that carry volume."""
         return len(self.half) - 2 * self.surfaces
 
-    def offset(self, dtype: DTypeLike, shift: Array | int = 0) -> Float[Array, "lines"]:
-        """Angle of each line from the backbone's, in the window `shift` windows onward."""
-        return 2 * math.pi * self._shifted(dtype, shift) / self._circle(dtype)
+    def offset(self, dtype: DTypeLike) -> Float[Array, "lines"]:
+        """Angle of each line from the backbone's, in the middle window."""
+        return 2 * math.pi * jnp.asarray(self.number, dtype) / self._circle(dtype)
 
-    def step(self, dtype: DTypeLike, shift: Array | int = 0) -> Float[Array, "lines"]:
+    def turn(self, dtype: DTypeLike, shift: Int[Array, "cells"]) -> Float[Array, "layers cells"]:
+        """Angle of the window `shift` windows onward from the middle one."""
+        width = 2 * math.pi * jnp.asarray(2 * np.array(self.half), dtype) / jnp.asarray(self.circle, dtype)
+        return width[:, None] * shift
+
+    def step(self, dtype: DTypeLike, shift: Int[Array, "cells"]) -> Float[Array, "lines cells"]:
         """Angle from each line to the next of its layer, 0 where there is none in window and circle."""
-        circle, number = self._circle(dtype), self._shifted(dtype, shift)
+        circle, half = self._circle(dtype)[:, None], np.array(self.half)[self.layer][:, None]
+        number = jnp.asarray(self.number[:, None] + 2 * half * shift, dtype)
         first = -jnp.floor(circle / 2)
-        within = (number >= first) & (number < first + circle) & (self.number < self._half)
+        within = (number >= first) & (number < first + circle) & (self.number[:, None] < half)
         return jnp.where(within, 2 * math.pi / circle, 0)
 
     def radii(self, tube: Tube) -> tuple[Float[Array, "layers"], Float[Array, "layers"]]:
@@ -95,13 +101,6 @@ class Lines(eqx.Module):
             ends = jnp.stack([jnp.asarray(tube.apical_radius), jnp.asarray(tube.basal_radius)])
             radius, weight = jnp.concatenate([radius, ends]), jnp.concatenate([weight, jnp.zeros(2)])
         return radius, weight
-
-    @property
-    def _half(self) -> np.ndarray:
-        return np.array(self.half)[self.layer]
-
-    def _shifted(self, dtype: DTypeLike, shift: Array | int) -> Float[Array, "lines"]:
-        return jnp.asarray(self.number + 2 * self._half * shift, dtype)
 
     def _circle(self, dtype: DTypeLike) -> Float[Array, "lines"]:
         return jnp.asarray(self.circle, dtype)[jnp.asarray(self.layer)]

@@ -38,10 +38,25 @@ class Grid(NamedTuple):
     """Lines as seen from a backbone, [lines, 1 or cells]."""
 
     radius: Array
-    z: Array
-    y: Array
-    foot: Array  # radius of the own foot s
-    square: Array  # squared distance f to it
+    turned: Array  # z + i y: one complex table is written in one loop, four real ones in four
+
+    @property
+    def z(self) -> Array:
+        """Component along the backbone."""
+        return self.turned.real
+
+    @property
+    def y(self) -> Array:
+        """Component across it."""
+        return self.turned.imag
+
+    def foot(self, tube: Tube) -> Array:
+        """Radius of the own foot s."""
+        return larger(self.z, tube.apical_radius)
+
+    def square(self, tube: Tube) -> Array:
+        """Squared distance f to it."""
+        return self.y**2 + larger(tube.apical_radius - self.z, 0.0) ** 2
 
 
 class Rivals(NamedTuple):
@@ -56,10 +71,19 @@ class Rivals(NamedTuple):
 class Walls(NamedTuple):
     """The walls that end each cell on each line, behind and ahead, [lines, 2, cells]."""
 
-    reach: Array
-    slope: Array  # dh/dt
+    tangent: Array  # reach + i dh/dt: again one table
     area: Array  # wall area per r dr dt; 0 at the tube's end
     edge: Array  # wall length on the layer per r dt
+
+    @property
+    def reach(self) -> Array:
+        """The reach h."""
+        return self.tangent.real
+
+    @property
+    def slope(self) -> Array:
+        """Its derivative dh/dt."""
+        return self.tangent.imag
 
 
 def settled(compute: Callable[[], T], truth: Array) -> T:
@@ -83,17 +107,21 @@ def posts(positions: Float[Array | np.ndarray, "... 2"]) -> Posts:
     return Posts(jnp.asarray(positions[..., 0]), jnp.asarray(angle), jnp.cos(angle), jnp.sin(angle))
 
 
-def see_lines(lines: Lines, tube: Tube, dtype: np.dtype, shift: Array | int = 0) -> Grid:
-    """The lines round each backbone."""
-    radius = lines.radii(tube)[0].astype(dtype)[lines.layer][:, None]
-    return see_angles(radius, lines.offset(dtype, shift)[:, None], tube)
+def see_lines(lines: Lines, tube: Tube, dtype: np.dtype) -> Grid:
+    """The lines round each backbone, [lines, 1], in the middle window."""
+    return see_angles(lines.radii(tube)[0].astype(dtype)[lines.layer][:, None], lines.offset(dtype)[:, None])
 
 
-def see_angles(radius: Array, offset: Array, tube: Tube) -> Grid:
+def see_window(lines: Lines, tube: Tube, dtype: np.dtype, shift: Int[Array, "cells"], truth: Array) -> Grid:
+    """The lines round each backbone, [lines, cells], in windows onward: those of the middle one, turned."""
+    middle, turn = see_lines(lines, tube, dtype), lines.turn(dtype, shift)
+    onward = settled(lambda: jax.lax.complex(jnp.cos(turn), jnp.sin(turn)), truth)
+    return settled(lambda: Grid(middle.radius, middle.turned * onward[lines.layer]), truth)
+
+
+def see_angles(radius: Array, offset: Array) -> Grid:
     """Lines at the given radii and angles from the backbones."""
-    z, y = radius * jnp.cos(offset), radius * jnp.sin(offset)
-    foot = jnp.maximum(z, tube.apical_radius)
-    return Grid(radius, z, y, foot, y * y + (foot - z) ** 2)
+    return Grid(radius, jax.lax.complex(radius * jnp.cos(offset), radius * jnp.sin(offset)))
 
 
 def see_others(own: Posts, others: Posts, first: Array, tube: Tube) -> tuple[Rivals, Array]:
@@ -123,7 +151,7 @@ def meeting(grid: Grid, rival: Rivals, tube: Tube) -> Array:
     """The reach h = |dx| / 2 + (f_j - f_i) / (2 |dx|) against rivals, on lines."""
     z, y = grid.z * rival.cosine + grid.y * rival.sine, grid.y * rival.cosine - grid.z * rival.sine
     inward = larger(tube.apical_radius - z, 0.0)
-    return rival.half + (y * y + inward * inward - grid.square) * rival.slant
+    return rival.half + (y * y + inward * inward - grid.square(tube)) * rival.slant
 
 
 def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> Int[Array, "lines 2 cells"]:
@@ -166,36 +194,56 @@ def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> I
 def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth: Array) -> Walls:
     """Reach, slope and tilt of the walls that end each cell, against the rival there.
 
-    A rival is e^(i turn) / half, one complex number: gathering three real ones takes 3 times as long.
+    A rival is e^(i turn) / half, one complex number: gathering three real ones takes 3 times as long. Walls
+    that are level are seldom there, and only then looked for.
     """
-    cells = by.shape[-1]
+    cells, end = by.shape[-1], by == END
     rival = (jax.lax.complex(rivals.cosine, rivals.sine) / rivals.half).ravel()
     at = jnp.maximum(by, 0) * (2 * cells) + jnp.arange(2 * cells, dtype=by.dtype).reshape(2, cells)
-    facing = settled(lambda: rival.at[at].get(mode="promise_in_bounds"), truth)
+    facing = settled(lambda: jnp.where(end, 1, rival.at[at].get(mode="promise_in_bounds")), truth)
+    line = jax.tree.map(lambda table: table[:, None], grid)
+    chord = rivals.sine**2 + (1 - rivals.cosine) ** 2
+    # the floor of `see_others`, and rounding
+    level = (rivals.half**2 <= (0.5005 * LEVEL * tube.apical_radius) ** 2 * chord).any()
 
-    def wall() -> Walls:
-        line, end = jax.tree.map(lambda table: table[:, None], grid), by == END
-        real, imaginary = jnp.where(end, 1, facing.real), jnp.where(end, 0, facing.imag)
-        half = jax.lax.rsqrt(real**2 + imaginary**2)
-        cosine, sine = real * half, imaginary * half
+    def wall(some_level: bool) -> Walls:
+        square = facing.real**2 + facing.imag**2
+        half = jax.lax.rsqrt(square)
+        cosine, sine, per_gap = facing.real * half, facing.imag * half, square * half / 2
         z, y = line.z * cosine + line.y * sine, line.y * cosine - line.z * sine
-        foot, per_gap = larger(z, tube.apical_radius), 0.5 / half
-        reach = half + (y * y + (foot - z) ** 2 - line.square) * per_gap / 2
-        slope = (foot * y - line.foot * line.y) * per_gap
-        tilt = (foot * z - line.foot * line.z) * per_gap
-        # all but a radial plane: slope towards that, half way between the backbones, where the reach is half
-        level = half <= 0.5005 * LEVEL * tube.apical_radius * jnp.sqrt(sine**2 + (1 - cosine) ** 2)
-        # tangent of the angle from the plane, of half of it, and by its series the angle
-        tangent = (line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12)
-        tangent = tangent / (1 + jnp.sqrt(1 + tangent**2))
-        aside = 2 * tangent * (1 - tangent**2 * (1 / 3 - tangent**2 * (1 / 5 - tangent**2 / 7)))
-        slope = jnp.where(level & (jnp.abs(aside) > 1e-3), (reach - half) / aside, slope)
-        slope, tilt = jnp.where(end, 0, slope), jnp.where(level, 0, tilt)
-        area = jnp.sqrt(1 + (slope**2 + tilt**2) / line.radius**2)
-        edge = jnp.sqrt(1 + slope**2 / line.radius**2)
-        return Walls(jnp.where(end, ends, reach), slope, *(jnp.where(end, 0, size) for size in (area, edge)))
+        foot, own_foot = larger(z, tube.apical_radius), line.foot(tube)
+        reach = half + (y * y + (foot - z) ** 2 - line.square(tube)) * per_gap / 2
+        slope = (foot * y - own_foot * line.y) * per_gap
+        tilt = (foot * z - own_foot * line.z) * per_gap
+        if some_level:
+            slope, tilt = towards_plane(Rivals(half, per_gap, cosine, sine), line, reach, (slope, tilt), tube)
+        slope = jnp.where(end, 0, slope)
+        per_square = 1 / line.radius**2
+        area = jnp.sqrt(1 + (slope**2 + tilt**2) * per_square)
+        edge = jnp.sqrt(1 + slope**2 * per_square)
+        tangent = jax.lax.complex(jnp.where(end, ends, reach), slope)
+        return Walls(tangent, *(jnp.where(end, 0, size) for size in (area, edge)))
 
-    return settled(wall, truth)
+    return jax.lax.cond(level, lambda: wall(True), lambda: wall(False))
+
+
+def towards_plane(
+    rival: Rivals, line: Grid, reach: Array, slopes: tuple[Array, Array], tube: Tube
+) -> tuple[Array, Array]:
+    """Slope and tilt, of walls that are level: all but the radial plane half way between two backbones.
+
+    There the reach is `half`, so the slope is that of the secant to it, and the tilt 0.
+    """
+    slope, tilt = slopes
+    z, y = line.z * rival.cosine + line.y * rival.sine, line.y * rival.cosine - line.z * rival.sine
+    chord = rival.sine**2 + (1 - rival.cosine) ** 2
+    level = rival.half**2 <= (0.5005 * LEVEL * tube.apical_radius) ** 2 * chord
+    # tangent of the angle from the plane, of half of it, and by its series the angle
+    tangent = (line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12)
+    tangent = tangent / (1 + jnp.sqrt(1 + tangent**2))
+    aside = 2 * tangent * (1 - tangent**2 * (1 / 3 - tangent**2 * (1 / 5 - tangent**2 / 7)))
+    slope = jnp.where(level & (jnp.abs(aside) > 1e-3), (reach - rival.half) / aside, slope)
+    return slope, jnp.where(level, 0, tilt)
 
 
 def strips(wall: Walls, tilt: Array, step: Array) -> Complex[Array, "strips cells"]:
@@ -206,7 +254,7 @@ def strips(wall: Walls, tilt: Array, step: Array) -> Complex[Array, "strips cell
     the cell could only show a phantom of it and count nothing. One complex number, as two results would each
     repeat the work.
     """
-    step = step[:-1, None]
+    step = step[:-1]
     reach = wall.reach[:-1], wall.reach[1:]
     rise = (wall.slope[:-1] * step[:, None], wall.slope[1:] * step[:, None])
     turn = rise[0] - rise[1]
