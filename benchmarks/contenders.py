@@ -43,14 +43,16 @@ def tissue(case: str) -> tuple[np.ndarray, jt.Tube]:
 @cache
 def lists(case: str, kind: str) -> jax.Array:
     """Candidates kept from before: `complete`, or `kept`, the annealer's 24 a side."""
-    place, tube = tissue(case)
-    sides = jt.find_candidates(place, tube)
-    if kind == "kept":
-        lines = [jt.plan_lines(tube, len(place), size, WINDOW) for size in (jt.PRESETS["standard"], SPARSE)]
-        model = jt.tube_model(tube, len(place))
-        _, clear = jax.jit(look)(jnp.asarray(place), model, (lines[0], lines[1]), jnp.asarray(sides))
-        sides = nearest_sides(sides, np.array(clear), CANDIDATES)
-    return jnp.asarray(sides)
+    sides = jt.find_candidates(*tissue(case))
+    return jnp.asarray(sides if kind == "complete" else shortlists(*tissue(case), sides))
+
+
+def shortlists(place: np.ndarray, tube: jt.Tube, sides: np.ndarray) -> np.ndarray:
+    """Of complete candidates the 24 a side that the annealer keeps for some sweeps."""
+    lines = [jt.plan_lines(tube, len(place), size, WINDOW) for size in (jt.PRESETS["standard"], SPARSE)]
+    model = jt.tube_model(tube, len(place))
+    _, clear = jax.jit(look)(jnp.asarray(place), model, (lines[0], lines[1]), jnp.asarray(sides))
+    return nearest_sides(sides, np.array(clear), CANDIDATES)
 
 
 def diagram(case: str, kind: str, size: Any) -> Callable[[], tuple[Any, Any]]:

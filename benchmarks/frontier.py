@@ -30,9 +30,10 @@ def draw(rows: list[dict[str, Any]], cases: tuple[str, ...]) -> Figure:
             axes.set(xscale="log", yscale="log", xlabel="milliseconds per diagram of 500 cells")
             axes.set(
                 ylabel=f"error of {name}, % of the mean cell",
-                title=f"${case}$".replace("_a", "_a") + f": {name}",
+                title=f"${case}$: {name}",
             )
             axes.grid(alpha=0.3)
+            axes.margins(0.12)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3)
     return figure
@@ -53,7 +54,9 @@ def _series(axes: Axes, rows: list[dict[str, Any]], key: str, style: tuple[str, 
     for row, x, y in zip(rows, time, error, strict=True):
         text = _text(row, style)
         if text:
-            axes.annotate(text, (x, y), (5, 5), textcoords="offset points", fontsize=8, color=color)
+            aside = (-4, -12) if row["kind"] == "kept" else (5, 5)
+            side = "right" if row["kind"] == "kept" else "left"
+            axes.annotate(text, (x, y), aside, textcoords="offset points", fontsize=8, color=color, ha=side)
 
 
 def _text(row: dict[str, Any], style: tuple[str, str]) -> str:
