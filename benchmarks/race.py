@@ -20,8 +20,7 @@ from peer import Peer, find_peer
 import jaxtissue as jt
 from jaxtissue.anneal import SPAN, WINDOW
 
-MORE = ((4, 4), (4, 5), (8, 8))
-SIZES = dict(jt.PRESETS) | {f"{layers}x{density}": jt.Resolution(layers, density) for layers, density in MORE}
+RESOLUTIONS = (*jt.PRESETS, "4x4", "4x5", "8x8")
 ALGORITHMS, SAMPLES = ("incremental MH", "IS-MH"), (4, 10, 50)
 WARM_UP = (
     2 * SPAN
@@ -86,19 +85,20 @@ def race(radius: float, n: int, peer: Peer | None, arguments: Any) -> dict[str, 
     tube = jt.Tube(100.0, radius, 10.0)
     place = np.asarray(tube.random_positions(jax.random.key(0), n))
     kept = jnp.asarray(shortlists(place, tube, jt.find_candidates(place, tube)))
-    ours: dict[str, list] = {name: [] for name in SIZES}
+    sizes = {name: jt.resolution_named(name) for name in arguments.resolutions}
+    ours: dict[str, list] = {name: [] for name in arguments.resolutions}
     theirs: dict[tuple[str, int], list] = {rival: [] for rival in product(ALGORITHMS, SAMPLES)}
-    for size in SIZES.values():  # compiled before the race
+    for size in sizes.values():  # compiled before the race
         our_diagram(place, tube, size, kept), our_sweeps(place, tube, size)
     for _ in range(arguments.repeats):
-        for name, size in SIZES.items():
+        for name, size in sizes.items():
             ours[name].append(our_diagram(place, tube, size, kept) | our_sweeps(place, tube, size))
         for rival, turns in theirs.items():
             if peer and not (turns and turns[0]["sweep"] > arguments.budget / 4):  # a long one once
                 turns.append(peer_row(peer, place, tube, rival, arguments.budget))
     rows = {name: merged(turns) for name, turns in ours.items()}
     rows |= {f"{name} s={samples}": merged(turns) for (name, samples), turns in theirs.items() if turns}
-    truth, trail = common.true_sizes(place, tube), rows[arguments.energy_by]["trail"]
+    truth, trail = common.true_sizes(place, tube), rows[arguments.resolutions[0]]["trail"]
     for row in rows.values():
         row["volume"], row["lateral_area"] = truth.errors(*row.pop("sizes"))
         row.pop("trail", None)
@@ -175,7 +175,7 @@ def main() -> None:
         "--budget", type=float, default=20.0, help="seconds for a peer's sweeps, else extrapolated"
     )
     parser.add_argument(
-        "--energy-by", default="draft", choices=SIZES, help="ours whose energies are compared"
+        "--resolutions", nargs="+", default=RESOLUTIONS, help="of ours; energies are those of the first"
     )
     arguments = parser.parse_args()
     peer, results = find_peer(arguments.peer), []
