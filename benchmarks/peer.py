@@ -67,7 +67,7 @@ class Peer:
         if trial["moves"] < n:
             return Sweeps(trial["t_step"], 0, None, None)
         row = self._mh(place, tube, samples, sweeps * n, 10 * budget) if sweeps > 1 else trial
-        return Sweeps(row["t_step"], max(sweeps, 1), row["E_per_cell_after"] * n, None)
+        return Sweeps(row["t_step"], row["moves"] // n, row["E_per_cell_after"] * n, None)
 
     def _mh(
         self, place: np.ndarray, tube: jt.Tube, samples: int, moves: int, budget: float
