@@ -19,8 +19,8 @@ from peer import find_peer
 
 import jaxtissue as jt
 
-SIZES = (2, 3, 4, 6, 8, 10, 12)  # of layers, and of lines per mean cell width
-FEW = ((2, 2), (3, 3), (4, 4), (6, 8), (8, 8), (10, 10), (12, 12))  # from scratch, and on one core
+LAYERS, DENSITIES = (2, 3, 4, 5, 6, 8, 10, 12), (2, 3, 4, 4.5, 6, 8, 10, 12)
+FEW = ((2, 2), (3, 3), (4, 4.5), (6, 8), (8, 8), (10, 10), (12, 12))  # from scratch, and on one core
 VOXELS = (1.0, 0.5, 0.25)
 EXACT = (5, 10, 20, 50, 100)
 PEER = (4, 5, 10, 20, 50)
@@ -39,7 +39,7 @@ def references() -> dict[str, common.Truth]:
 def plan(quick: bool) -> list[tuple[str, str, Any]]:
     """Who is measured: threads (`whole` machine, `one` core), kind and size."""
     few = [tuple(size) for size in (FEW[1:4] if quick else FEW)]
-    grid = few if quick else list(product(SIZES, SIZES))
+    grid = few if quick else list(product(LAYERS, DENSITIES))
     grid += [size for size in map(tuple, jt.PRESETS.values()) if size not in grid]
     rows = [("whole", "kept", size) for size in grid]
     rows += [("one", "kept", size) for size in few]

@@ -20,7 +20,7 @@ from peer import Peer, find_peer
 import jaxtissue as jt
 from jaxtissue.anneal import SPAN, WINDOW
 
-RESOLUTIONS = (*jt.PRESETS, "4x4", "4x5", "8x8")
+RESOLUTIONS = (*jt.PRESETS, "4x4", "4x4.5", "8x8")
 ALGORITHMS, SAMPLES = ("incremental MH", "IS-MH"), (4, 10, 50)
 WARM_UP = (
     2 * SPAN
