@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy import sparse
 
-from jaxtissue.cells import CellGeometry, measure_cells
+from jaxtissue.cells import BLOCK, CellGeometry, measure_cells
 from jaxtissue.lines import PRESETS, Resolution, plan_lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import LEVEL, Posts, posts, see_angles, see_rivals, settled, stop, walls
@@ -68,15 +69,43 @@ def nearest(
     # on either side; 6 mean cell widths at the basal surface, where NEAREST are as many as usual
     window = min(n - 1, max(count, math.ceil(6 * density * width * count / NEAREST)))
     order = np.argsort(place[:, 0], kind="stable")
-    step = np.r_[-window:0, 1 : window + 1]
+    axial, angle = place[order].T
+    columns = axial, np.cos(angle), np.sin(angle)
+    # those next to each in order, [n, 2 window + 1], without a copy; beyond the ends at infinity
+    views = [
+        sliding_window_view(np.pad(column, window, constant_values=beyond), 2 * window + 1)
+        for column, beyond in zip(columns, (np.inf, 1, 0), strict=True)
+    ]
     lists = np.empty((n, count), np.int32)
-    for start in range(0, n, 1024):
-        rank = np.arange(start, min(start + 1024, n))[:, None] + step
-        some, others = order[start : start + 1024, None], order[np.clip(rank, 0, n - 1)]
-        score = np.where((rank >= 0) & (rank < n), spacing(place, some, others, tube), np.inf)
-        kept = np.argpartition(score, max(count - 1, 0), axis=1)[:, :count]
-        lists[some[:, 0]] = np.take_along_axis(others, kept, axis=1)
+    for start in range(0, n, 256):  # tables that fit the cache
+        own = slice(start, start + 256)
+        gap, cosine, sine = (
+            view[own] * column[own, None] if k else view[own] - column[own, None]
+            for k, (view, column) in enumerate(zip(views, columns, strict=True))
+        )
+        score = spacing_at(gap.astype(np.float32), (cosine + sine).astype(np.float32), tube)
+        score[:, window] = np.inf
+        rank = np.arange(start, start + len(score))[:, None] + least(score, count) - window
+        lists[order[own]] = order[rank]
     return lists
+
+
+def least(scores: Float[np.ndarray, "... columns"], count: int) -> Int[np.ndarray, "... count"]:
+    """Columns of the `count` lowest scores of each row, to single precision; of equal ones the first.
+
+    Score and column are coded as one integer, since a partition of those is fast, and says which of equals.
+
+    >>> least(np.array([[3.0, -1.0, np.inf, -2.0, 3.0]]), 3)
+    array([[3, 1, 0]])
+    """
+    if scores.shape[-1] <= count:
+        return np.broadcast_to(np.arange(scores.shape[-1]), scores.shape)
+    bits = np.asarray(scores, np.float32).view(np.int32).astype(np.int64)
+    bits = np.where(bits < 0, -(bits & 0x7FFFFFFF), bits)  # as integers in the order of the floats
+    shift = (scores.shape[-1] - 1).bit_length()
+    coded = (bits << shift) | np.arange(scores.shape[-1])
+    coded.partition(max(count - 1, 0), axis=-1)
+    return coded[..., :count] & ((1 << shift) - 1)
 
 
 def spacing(place: np.ndarray, first: np.ndarray, second: np.ndarray, tube: Tube) -> np.ndarray:
@@ -84,24 +113,46 @@ def spacing(place: np.ndarray, first: np.ndarray, second: np.ndarray, tube: Tube
 
     Squared, up to a constant factor: so it is measured in mean cell widths.
     """
+    gap = place[first, 0] - place[second, 0]
+    return spacing_at(gap, np.cos(place[first, 1] - place[second, 1]), tube)
+
+
+def spacing_at(gap: np.ndarray, cosine: np.ndarray, tube: Tube) -> np.ndarray:
+    """The same for backbones `gap` apart along the axis, and at an angle of that cosine."""
     inner, outer = float(tube.apical_radius), float(tube.basal_radius)
-    along = (place[first, 0] - place[second, 0]) ** 2
-    cosine = np.cos(place[first, 1] - place[second, 1])
-    score = np.inf
-    for radius in np.geomspace(inner, outer, 3):
+    square = gap * gap
+    score = (square + 2 * inner * inner * (1 - cosine)) / inner  # at the apical surface
+    for radius in map(float, np.geomspace(inner, outer, 3)[1:]):
         foot = np.maximum(radius * cosine, inner)
-        score = np.minimum(score, (along + radius**2 - 2 * radius * foot * cosine + foot**2) / radius)
-    return np.asarray(score)
+        np.minimum(
+            score, (square + radius * radius + foot * (foot - 2 * radius * cosine)) / radius, out=score
+        )
+    return score
 
 
 def contact_graph(
     sides: Int[np.ndarray, "n 2 candidates"], touched: Bool[ArrayLike, "n 2 candidates"]
 ) -> sparse.csr_array:
     """Who stops whom, as a symmetric [n, n] matrix."""
-    touched, n = np.asarray(touched), len(sides)
-    cells, others = np.nonzero(touched)[0], sides[touched]
-    graph = sparse.coo_array((np.ones(len(cells), bool), (cells, others)), shape=(n, n)).tocsr()
-    return (graph + graph.T).tocsr()
+    at = np.flatnonzero(touched)
+    return linked(at // sides[0].size, sides.reshape(-1)[at], len(sides))
+
+
+def linked(first: Int[np.ndarray, "pairs"], second: Int[np.ndarray, "pairs"], n: int) -> sparse.csr_array:
+    """Pairs of `n` cells as a symmetric matrix of bools, [n, n], without diagonal.
+
+    >>> linked(np.array([0, 2, 2]), np.array([1, 0, 2]), 3).toarray().astype(int)
+    array([[0, 1, 1],
+           [1, 0, 0],
+           [1, 0, 0]])
+    """
+    first, second = first.astype(np.int64), second.astype(np.int64)
+    pairs = np.concatenate([first * n + second, second * n + first])
+    pairs.sort()
+    cell, other = np.divmod(pairs[np.diff(pairs, prepend=-1) > 0], n)
+    cell, other = cell[cell != other], other[cell != other]
+    start = np.searchsorted(cell, np.arange(n + 1)).astype(np.int32)
+    return sparse.csr_array((np.ones(len(cell), bool), other.astype(np.int32), start), shape=(n, n))
 
 
 def sided(
@@ -114,11 +165,17 @@ def sided(
     axial, own = np.asarray(positions, float)[:, 0], np.arange(len(lists), dtype=np.int32)[:, None]
     gap = np.where(lists == own, np.nan, axial[lists] - axial[:, None])
     margin = max(margin, 2 * LEVEL * float(tube.apical_radius))
-    sides = [np.where(sign * gap >= -margin, lists, own) for sign in (-1, 1)]
-    width = max(1, *(int((side != own).sum(axis=1).max(initial=0)) for side in sides))
-    front = [np.argsort(side == own, axis=1, kind="stable")[:, :width] for side in sides]
-    packed = [np.take_along_axis(side, at, axis=1) for side, at in zip(sides, front, strict=True)]
-    return padded(np.stack(packed, axis=1), -(-width // 24) * 24)  # few shapes, so few compilations
+    # not a number for the cell itself, so on neither side
+    taken = [np.flatnonzero(sign * gap >= -margin) for sign in (-1, 1)]
+    rows = [at // lists.shape[1] for at in taken]
+    counts = [np.bincount(row, minlength=len(lists)) for row in rows]
+    width = max(1, *(int(count.max(initial=0)) for count in counts))
+    width = -(-width // 24) * 24  # few shapes, so few compilations
+    sides = np.repeat(own, 2 * width, axis=1).reshape(-1, 2, width)
+    for side, (at, row, count) in enumerate(zip(taken, rows, counts, strict=True)):
+        place = np.arange(len(at)) - np.repeat(np.cumsum(count) - count, count)
+        sides[row, side, place] = lists.reshape(-1)[at]
+    return sides
 
 
 def padded(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.ndarray, "n ... width"]:
@@ -137,16 +194,24 @@ def tiling_defect(
     The lines, 16 in each of 5 layers from surface to surface, are the same for all cells, so the intervals
     tile each of them exactly unless a list lacks a rival: an alarm that no estimator's error can hide.
     """
-    dtype = positions.dtype
+    n, dtype = len(positions), positions.dtype
     share, angle = jnp.linspace(0, 1, 5, dtype=dtype), jnp.arange(16, dtype=dtype) * (2 * np.pi / 16) + 0.123
     radius = jnp.repeat(tube.apical_radius + share * (tube.basal_radius - tube.apical_radius), 16)[:, None]
-    place, lists = posts(positions), sides.transpose(2, 1, 0)
-    own, others = place, Posts(*(column[lists] for column in place))
-    offset = jnp.mod(jnp.tile(angle, 5)[:, None] - own.angle + np.pi, 2 * np.pi) - np.pi
-    ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
-    first = jnp.asarray(lists < np.arange(len(positions)))
-    rivals = settled(lambda: see_rivals(own, others, first, tube), truth)
-    grid = see_angles(radius, offset)
-    by = stop(grid, rivals, ends, tube, truth)
-    length = walls(by, rivals, ends, grid, tube, truth).reach.sum(axis=1)
-    return jnp.abs(jnp.maximum(length, 0).sum(axis=1) / tube.length - 1).max()
+    place, lists = posts(positions), jnp.asarray(sides)
+    width = min(n, BLOCK)
+
+    def spare(start: Array) -> Float[Array, "lines"]:
+        """What a block of cells fills of each line beyond its share of the cells: sums that stay small."""
+        which = start + jnp.arange(width)
+        rivals = lists[jnp.minimum(which, n - 1)].transpose(2, 1, 0)
+        own, others = (Posts(*(column[at] for column in place)) for at in (jnp.minimum(which, n - 1), rivals))
+        offset = jnp.mod(jnp.tile(angle, 5)[:, None] - own.angle + np.pi, 2 * np.pi) - np.pi
+        ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
+        rivals = settled(lambda: see_rivals(own, others, rivals < which, tube), truth)
+        grid = see_angles(radius, offset)
+        by = stop(grid, rivals, ends, tube, truth)
+        length = walls(by, rivals, ends, grid, tube, truth).reach.sum(axis=1)
+        return jnp.where(which < n, jnp.maximum(length, 0) - tube.length / n, 0).sum(axis=1)
+
+    blocks = jax.lax.map(spare, width * jnp.arange(-(-n // width)))
+    return jnp.abs(blocks.sum(axis=0)).max() / tube.length

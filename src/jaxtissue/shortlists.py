@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy import sparse
 
-from jaxtissue.candidates import padded
+from jaxtissue.candidates import least, linked, padded
 from jaxtissue.cells import BLOCK
 from jaxtissue.lines import Lines
 from jaxtissue.tube import Tube
@@ -66,9 +66,8 @@ def nearest_sides(
     sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"], count: int
 ) -> Int[np.ndarray, "n 2 count"]:
     """The `count` candidates on each side whose walls are nearest to the cell."""
-    if sides.shape[2] > count:
-        kept = np.argpartition(clear, count - 1, axis=2)[..., :count]
-        sides, clear = (np.take_along_axis(table, kept, axis=2) for table in (sides, clear))
+    kept = least(clear, count)
+    sides, clear = (np.take_along_axis(table, kept, axis=2) for table in (sides, clear))
     own = np.arange(len(sides), dtype=sides.dtype)[:, None, None]
     return padded(np.where(np.isfinite(clear), sides, own), count)
 
@@ -76,12 +75,7 @@ def nearest_sides(
 def around(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n around"]:
     """Of each cell all who have it among their candidates, and its own; padded with itself."""
     n = len(sides)
-    one = np.repeat(np.arange(n), sides[0].size), sides.reshape(-1)
-    graph = sparse.coo_array((np.ones(len(one[0]), bool), one), shape=(n, n)).tocsr()
-    graph = (graph + graph.T).tocsr()
-    graph.setdiag(False)
-    graph.eliminate_zeros()
-    return packed_rows(graph)
+    return packed_rows(linked(np.repeat(np.arange(n), sides[0].size), sides.reshape(-1), n))
 
 
 def packed_rows(graph: sparse.csr_array) -> Int[np.ndarray, "n width"]:
@@ -99,8 +93,8 @@ def find_unlisted(
     few: Int[np.ndarray, "n 2 few"],
 ) -> Int[np.ndarray, "pairs 2"]:
     """Cells and those who stop them without being on their shortlists."""
-    cell, side, at = np.nonzero(touched)
-    rival = sides[cell, side, at]
+    at = np.flatnonzero(touched)
+    (cell, side), rival = divmod(at // sides.shape[2], 2), sides.reshape(-1)[at]
     listed = (few[cell, side] == rival[:, None]).any(axis=1)
     return np.stack([cell, rival], axis=1)[~listed]
 
