@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxtissue.changes import (
+    ROOM,
     Neighborhoods,
     TissueState,
     apply,
@@ -22,7 +23,6 @@ from jaxtissue.changes import (
     measure_changes,
     members,
     pick,
-    room,
 )
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines
@@ -90,7 +90,9 @@ def sweep(
         touched, perhaps = find_changed(movers, state, proposed, near, (model, lines))
         collides = find_collisions(touched, movers, near)
         measured = (touched | perhaps) & ~collides[:, None]
-        crowded = jnp.cumsum(measured.sum(axis=1)) > room(measured)
+        total = jnp.cumsum(needed := measured.sum(axis=1))
+        # the first has room always; how wide the lists are does not matter
+        crowded = (total > ROOM * len(movers)) & (total > needed)
         measured &= ~crowded[:, None]
         changes = measure_changes(measured, movers, state, proposed, near, (model, lines))
         real = drop_unchanged(changes, touched, state, model)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxtissue.candidates import padded
 from jaxtissue.cells import CellGeometry, Survey, measure_cells
 from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.energy import Model, lateral_tension, volume_elasticity
@@ -60,6 +61,14 @@ def play(
 
     numbers = first + jnp.arange(len(temperatures))
     return jax.lax.scan(one, state, (numbers, temperatures, *plan))
+
+
+def fit_play(arguments: tuple, sizes: tuple[int, int]) -> tuple:
+    """The arguments of `play` with lists of all around a cell and with rounds of the given lengths."""
+    *others, near, (rounds, counts), lines = arguments
+    spare = ((0, 0), (0, sizes[1] - rounds.shape[1]), (0, 0))
+    near = near._replace(around=padded(near.around, sizes[0]))
+    return (*others, near, (np.pad(rounds, spare, constant_values=-1), counts), lines)
 
 
 def energy_terms(cells: CellGeometry, model: Model) -> tuple[Array, Array, Array]:
