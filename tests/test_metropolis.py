@@ -16,7 +16,7 @@ from jaxtissue.lines import PRESETS
 from jaxtissue.metropolis import move_bound, propose
 from jaxtissue.programs import PROGRAMS, ask, run_together
 from jaxtissue.records import shortlisted
-from jaxtissue.rounds import CAPACITY
+from jaxtissue.rounds import CAPACITY, padded_orders
 from jaxtissue.schedules import constant_schedule
 from jaxtissue.spans import play
 from jaxtissue.tube import Tube
@@ -43,12 +43,11 @@ class Bench:
 
     def sweep(self, rounds: np.ndarray, temperature: float = 2.0, seed: int = 0, tissue=None):
         """The tissue after a sweep of at most `CAPACITY` rounds, and what happened."""
-        plan = np.full((SPAN, CAPACITY, self.width), -1, np.int32)
-        plan[0, : len(rounds), : rounds.shape[1]] = rounds
-        counts, temperatures = np.zeros(SPAN, np.int32), np.full(SPAN, temperature)
-        counts[0] = len(rounds)
+        spare = ((0, 0), (0, self.width - rounds.shape[1]))
+        plan = [np.pad(rounds, spare, constant_values=-1)]
+        orders, temperatures = padded_orders(plan, SPAN, self.near), np.full(SPAN, temperature)
         draw, tissue = (np.uint32(seed), np.int32(0)), tissue or self.tissue
-        rules = self.annealer.model, temperatures, self.near, (plan, counts), self.lines
+        rules = self.annealer.model, temperatures, self.near, orders, self.lines
         ((after, trail),) = run_together([ask(play, *draw, tissue, *rules)])
         return after, jax.tree.map(lambda leaf: leaf[0], trail.info)
 

@@ -19,7 +19,7 @@ from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_mod
 from jaxtissue.exact import ExactDiagram, exact_cells
 from jaxtissue.laws import NeighborLaw, bound_ratios, fit_neighbor_law
 from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines, resolution_named
-from jaxtissue.metropolis import SweepInfo, sweep
+from jaxtissue.metropolis import Order, SweepInfo, sweep
 from jaxtissue.records import SweepRecord
 from jaxtissue.sampling import cartesian_voxels, cylindrical_voxels
 from jaxtissue.schedules import constant_schedule, geometric_schedule, has_stalled
@@ -55,6 +55,7 @@ __all__ = [
     "Lines",
     "Model",
     "NeighborLaw",
+    "Order",
     "Resolution",
     "SweepInfo",
     "SweepRecord",

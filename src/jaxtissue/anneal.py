@@ -18,7 +18,7 @@ from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.metropolis import move_bound
 from jaxtissue.programs import Request, Task, run_together
 from jaxtissue.records import Measured, SweepRecord, shortlisted, sweep_record
-from jaxtissue.rounds import independent_rounds, one_by_one, padded_rounds
+from jaxtissue.rounds import independent_rounds, one_by_one, padded_orders
 from jaxtissue.shortlists import find_unlisted, list_first
 from jaxtissue.spans import Trail, energy_terms, fit_play, look, play
 
@@ -120,7 +120,7 @@ class Annealer:
             row = sweep_record(number, energies[:, k], cells, self.temperatures, info)
             rows.append(row._replace(seconds=taken / sweeps / replicas))
         rows[-1] = rows[-1]._replace(drift=drift)
-        return after, rows, trail.positions
+        return after, rows, np.asarray(trail.positions)
 
     def _play(self, state: AnnealState, plan: Plan, sweeps: int) -> Task[tuple[AnnealState, Trail, float]]:
         """Play the plan's rounds, sweep by sweep, on one set of candidate lists.
@@ -153,14 +153,14 @@ class Annealer:
         self, near: Neighborhoods, state: AnnealState, plan: Plan, sweeps: int
     ) -> Task[tuple[AnnealState, Trail]]:
         """Play the plan on given lists."""
-        order = padded_rounds(plan[:sweeps], SPAN)
+        orders = padded_orders(plan[:sweeps], SPAN, near)
         temperatures = np.zeros(SPAN, state.positions.dtype)
         temperatures[:sweeps] = self.temperatures[state.sweep : state.sweep + sweeps]
         measured = yield from self._measure(state)
         tissue = yield from self._ask(Request(tissue_state, (state.positions, measured.seen)))
         draw, lines = (np.uint32(self.seed), np.int32(state.sweep)), self._plan(len(state.positions))
-        arguments = (*draw, tissue, self.model, temperatures, near, order, lines)
-        needs = near.around.shape[1], order[0].shape[1]
+        arguments = (*draw, tissue, self.model, temperatures, near, orders, lines)
+        needs = near.around.shape[1], orders.rounds.shape[1]
         _, trail = yield from self._ask(Request(play, arguments, needs, fit_play))
         trail = jax.tree.map(lambda leaf: leaf[:sweeps], trail)
         widths = measured.sides.shape[2], near.around.shape[1]

@@ -15,7 +15,7 @@ from jaxtissue.statistics import find_connectivity, summarize_connectivity
 
 
 class Outcome(NamedTuple):
-    """A finished run: the rows of all its sweeps, the first of the state before any, and its last backbones."""
+    """A finished run: the rows of its sweeps, the first of the state before any, and the last backbones."""
 
     records: list[SweepRecord]
     positions: Float[np.ndarray, "n 2"]

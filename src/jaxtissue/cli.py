@@ -92,7 +92,9 @@ def _find_part(
         raise ValueError("--coordinator and --process need each other; give both, or none in a cluster")
     if distributed:
         return join(coordinator, process)
-    return slurm_part() if slurm else Part(*(part or ()))
+    if slurm:
+        return slurm_part()
+    return Part(*part) if part else Part()
 
 
 def measure(arguments: dict[str, Any]) -> int:

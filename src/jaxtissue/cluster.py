@@ -2,7 +2,8 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import TypeVar
 
 import jax
 from jax.experimental import multihost_utils
@@ -10,7 +11,8 @@ from jax.experimental import multihost_utils
 T = TypeVar("T")
 
 
-class Part(NamedTuple):
+@dataclass(frozen=True)
+class Part:
     """Part `number` of `count`, counted from 0; `joined` where the others run at the same time under JAX."""
 
     number: int = 0
@@ -48,7 +50,7 @@ def slurm_part(environment: Mapping[str, str] = os.environ) -> Part:
 
 
 def use_cores(most: int) -> None:
-    """Let JAX see each processor core as a device, at most so many; too late once it has computed anything."""
+    """Let JAX see each processor core as a device, at most so many; too late once it has computed."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
         jax.config.update("jax_num_cpu_devices", max(1, min(cores, most)))

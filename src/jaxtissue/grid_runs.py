@@ -1,4 +1,4 @@
-"""A grid annealed into one table, in a folder: each row kept as it ends, so that a run takes up where it was."""
+"""A grid annealed into one table, in a folder: each row kept as it ends, and only what is missing done."""
 
 import json
 import math
@@ -158,12 +158,10 @@ def _finish(run: GridRun) -> int:
     """Gather the rows that are there into the table; of processes that are joined, the first one does."""
     if run.part.joined and run.part.number:
         return 0
-    everyone, written = range(len(run.rows)), -1
-    while True:
-        done = len(everyone) - len(run.missing(everyone))
-        if done == written:
-            break  # no other part added a row while this one wrote
-        table, written = _gather(run), done
+    everyone = range(len(run.rows))
+    table = _gather(run)
+    while (written := len(table.get("row", ()))) < len(everyone) - len(run.missing(everyone)):
+        table = _gather(run)  # another part has added a row
     if written == len(everyone):
         manifest = json.loads((run.folder / "manifest.json").read_text(encoding="utf-8"))
         if not manifest["finished"]:
@@ -182,11 +180,11 @@ def _gather(run: GridRun) -> dict[str, np.ndarray]:
     done = sorted(set(everyone) - set(run.missing(everyone)))
     rows = [json.loads(run.path(number, "rows", "json").read_text(encoding="utf-8")) for number in done]
     names = list(dict.fromkeys(name for row in rows for name in row))
-    missing = dict.fromkeys(names, math.nan)
-    rows = [
-        missing | {name: math.nan if value is None else value for name, value in row.items()} for row in rows
-    ]
-    table = {name: np.array([row[name] for row in rows]) for name in names}
+    columns = {name: [row.get(name) for row in rows] for name in names}
+    table = {
+        name: np.array([math.nan if value is None else value for value in values])
+        for name, values in columns.items()
+    }
     io.write_table(run.folder / "table.csv", table)
     return table
 

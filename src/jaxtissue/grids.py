@@ -16,8 +16,8 @@ _SETTINGS = {setting.name for setting in fields(Settings)}
 class Grid:
     """Runs for all combinations of the values in `axes`; `shared` holds the settings that all have.
 
-    An axis is one of `AXES`, `ratio` being R_b / R_a; what is on no axis and not shared has its default. Row k
-    is the run that `jaxtissue anneal` makes with the same settings, to the bit. Raises `ValueError` for other
+    An axis is one of `AXES`, `ratio` being R_b / R_a; what is on no axis and not shared has its default.
+    A row is the run that `jaxtissue anneal` makes with the same settings, to the bit. Raises `ValueError` for other
     names, an axis without values, a value given twice, both `ratio` and `apical_radius`, and sizes that make
     no tube.
 

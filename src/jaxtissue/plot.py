@@ -85,7 +85,7 @@ def plot_volumes(
 
 
 def plot_grid(table: Mapping[str, ArrayLike], axes: Sequence[str]) -> tuple[Figure, Axes]:
-    """Energy per cell of the runs of a grid over the first of its `axes`, a line for each value of the second.
+    """Energy per cell of the runs of a grid over the first of its `axes`, a line for each of the second.
 
     `table` has the columns of table.csv. Dots are runs; a line goes through their means. Runs that differ in
     further axes, such as the seed, are taken together.

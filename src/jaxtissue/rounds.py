@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import sparse
 
+from jaxtissue.changes import Neighborhoods, room
 from jaxtissue.coloring import color, distance_conflicts, hop_conflicts
 from jaxtissue.energy import Model
-from jaxtissue.metropolis import move_bound
+from jaxtissue.metropolis import Order, move_bound
 from jaxtissue.spread import covering_radius
 
 ROUNDS = 32  # sets that the cells are spread over at least: coloring takes 36 to 45
@@ -43,12 +44,12 @@ def independent_rounds(
     return color(graph, max(1, round(n / ROUNDS)))
 
 
-def padded_rounds(
-    plan: Sequence[Int[np.ndarray, "rounds width"]], sweeps: int
-) -> tuple[Int[np.ndarray, "sweeps capacity width"], Int[np.ndarray, "sweeps"]]:
-    """The rounds of some sweeps as one table, padded with -1 and with sweeps of none, and their numbers."""
-    capacity = -(-max(map(len, plan)) // CAPACITY) * CAPACITY
-    rounds = np.full((sweeps, capacity, plan[0].shape[1]), -1, np.int32)
-    for k, some in enumerate(plan[:sweeps]):
+def padded_orders(plan: Sequence[Int[np.ndarray, "rounds width"]], sweeps: int, near: Neighborhoods) -> Order:
+    """The rounds of some sweeps as one table, padded with sweeps of none: an `Order` of leaves [sweeps, ...]."""
+    capacity, width = -(-max(map(len, plan)) // CAPACITY) * CAPACITY, plan[0].shape[1]
+    rounds = np.full((sweeps, capacity, width), -1, np.int32)
+    for k, some in enumerate(plan):
         rounds[k, : len(some)] = some
-    return rounds, np.array([*map(len, plan), *sweeps * [0]], np.int32)[:sweeps]
+    counts = np.array([*map(len, plan), *sweeps * [0]], np.int32)[:sweeps]
+    table = np.empty((width, near.around.shape[1] + 1), bool)
+    return Order(rounds, counts, np.full(sweeps, room(table), np.int32))
