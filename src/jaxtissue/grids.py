@@ -16,10 +16,10 @@ _SETTINGS = {setting.name for setting in fields(Settings)}
 class Grid:
     """Runs for all combinations of the values in `axes`; `shared` holds the settings that all have.
 
-    An axis is one of `AXES`, `ratio` being R_b / R_a; what is on no axis and not shared has its default.
-    A row is the run that `jaxtissue anneal` makes with the same settings, to the bit. Raises `ValueError` for other
-    names, an axis without values, a value given twice, both `ratio` and `apical_radius`, and sizes that make
-    no tube.
+    An axis is one of `AXES`, `ratio` being R_b / R_a; what is on no axis and not shared has its default. Each
+    row is the run that `jaxtissue anneal` makes with the same settings, to the bit. Raises `ValueError` for
+    other names, an axis without values, a value given twice, both `ratio` and `apical_radius`, and sizes that
+    make no tube.
 
     >>> grid = Grid({"seed": [0, 1], "ratio": [2, 5]}, {"sweeps": 3})
     >>> [(row.apical_radius, row.seed) for row in grid.rows]

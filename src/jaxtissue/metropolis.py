@@ -46,7 +46,7 @@ class Order(NamedTuple):
     """
 
     rounds: Int[Array | np.ndarray, "rounds width"]
-    count: Int[Array | np.ndarray, ""]
+    played: Int[Array | np.ndarray, ""]
     room: Int[Array | np.ndarray, ""]
 
 
@@ -85,7 +85,7 @@ def sweep(
     move_key, accept_key = jax.random.split(key)
     proposed = propose(move_key, state.place, model)
     chance = jax.random.uniform(accept_key, state.volume.shape, state.volume.dtype)
-    rounds, count = order.rounds, order.count
+    rounds, count = order.rounds, order.played
     alone = jnp.full(rounds.shape[1], -1, rounds.dtype)
 
     def unplayed(carry: tuple) -> Array:

@@ -45,11 +45,11 @@ def independent_rounds(
 
 
 def padded_orders(plan: Sequence[Int[np.ndarray, "rounds width"]], sweeps: int, near: Neighborhoods) -> Order:
-    """The rounds of some sweeps as one table, padded with sweeps of none: an `Order` of leaves [sweeps, ...]."""
+    """The rounds of some sweeps, padded with sweeps of none: an `Order` of leaves [sweeps, ...]."""
     capacity, width = -(-max(map(len, plan)) // CAPACITY) * CAPACITY, plan[0].shape[1]
     rounds = np.full((sweeps, capacity, width), -1, np.int32)
     for k, some in enumerate(plan):
         rounds[k, : len(some)] = some
     counts = np.array([*map(len, plan), *sweeps * [0]], np.int32)[:sweeps]
-    table = np.empty((width, near.around.shape[1] + 1), bool)
+    table = jnp.empty((width, near.around.shape[1] + 1), bool)
     return Order(rounds, counts, np.full(sweeps, room(table), np.int32))
