@@ -14,7 +14,7 @@ from jaxtissue import io
 from jaxtissue.arguments import TUBE_SIZES, command_parser
 from jaxtissue.cluster import Part, join, slurm_part, use_cores
 from jaxtissue.energy import tube_model
-from jaxtissue.grid_runs import run_grid
+from jaxtissue.grid_runs import check_grid_folder, run_grid
 from jaxtissue.grids import AXES, Grid
 from jaxtissue.lines import resolution_named
 from jaxtissue.reproduction.reproduce import choose_items, make_plan, reproduce
@@ -72,6 +72,9 @@ def sweep(arguments: dict[str, Any]) -> int:
     _refuse_both(arguments, "minimum_contact")
     axes = {name: arguments.pop(name) for name in AXES if name in arguments}
     grid = Grid(axes, arguments)
+    if grid.shared.get("final_temperature") and min(axes.get("temperature", [1.0])) == 0:
+        raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
+    check_grid_folder(folder, grid, force)
     part = _find_part(*places)
     _use_x64(arguments["x64"])
     use_cores(min(len(part.share(grid.rows)), batch or len(grid.rows)))

@@ -50,8 +50,13 @@ def slurm_part(environment: Mapping[str, str] = os.environ) -> Part:
 
 
 def use_cores(most: int) -> None:
-    """Let JAX see each processor core as a device, at most so many; too late once it has computed."""
+    """Let JAX see each processor core as a device, at most so many.
+
+    Unless JAX_NUM_CPU_DEVICES says how many, or JAX has computed anything yet.
+    """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if jax.config.jax_num_cpu_devices > 0 or "device_count" in os.environ.get("XLA_FLAGS", ""):
+        return
     try:
         jax.config.update("jax_num_cpu_devices", max(1, min(cores, most)))
     except RuntimeError:

@@ -59,8 +59,9 @@ def run_grid(folder: Path, grid: Grid, part: Part, force: bool = False, batch: i
     It is 128 + signal for a run that was stopped. Raises `ValueError` for a folder that holds something else
     or a grid with other arguments (unless forced) or can't be written; nothing is written then.
     """
-    check_grid_folder(folder, grid, part, force)
-    part.wait("checked")
+    if force and part.count > 1 and not part.joined:
+        raise ValueError("--force would remove what other parts have done; remove the folder instead")
+    check_grid_folder(folder, grid, force)
     if part.number == 0 or not part.joined:
         _prepare(folder, grid, force)
     part.wait("prepared")
@@ -77,10 +78,8 @@ def run_grid(folder: Path, grid: Grid, part: Part, force: bool = False, batch: i
     return 128 + stop.signal
 
 
-def check_grid_folder(folder: Path, grid: Grid, part: Part, force: bool) -> None:
+def check_grid_folder(folder: Path, grid: Grid, force: bool) -> None:
     """Raise `ValueError` unless `folder` is new, or this grid's, or may be written over; touches nothing."""
-    if force and part.count > 1 and not part.joined:
-        raise ValueError("--force would remove what other parts have done; remove the folder instead")
     manifest = folder / "manifest.json"
     ours = folder.is_dir() and {path.name.split(".")[0] for path in folder.iterdir()} <= {"", *FOLDERS}
     if force or not (ours or manifest.is_file()):
@@ -88,12 +87,12 @@ def check_grid_folder(folder: Path, grid: Grid, part: Part, force: bool) -> None
     if not manifest.is_file():
         return None
     try:
-        before = json.loads(manifest.read_text(encoding="utf-8"))["grid"]
-        before, given = ({**known["axes"], **known["shared"]} for known in (before, grid.arguments))
+        before, given = json.loads(manifest.read_text(encoding="utf-8"))["arguments"], grid.arguments
+        names = list(before | given)
     except (OSError, ValueError, KeyError, TypeError) as error:
         message = f"{manifest} is of no grid or damaged ({error}); choose another folder or add --force"
         raise ValueError(message) from error
-    for name in before | given:
+    for name in names:
         if before.get(name) != given.get(name):
             option, values = "--" + name.replace("_", "-"), (given.get(name), before.get(name))
             told = " differs from ".join(_told(value) for value in values)
@@ -114,7 +113,7 @@ def _prepare(folder: Path, grid: Grid, force: bool) -> None:
         known = list((folder / name).iterdir()) if force and (folder / name).is_dir() else []
         io.make_folder(folder / name, [path.name for path in known if path.stem.isdigit()])
     if not (folder / "manifest.json").is_file():
-        manifest = {"grid": grid.arguments, "rows": len(grid.rows)} | provenance()
+        manifest = {"arguments": grid.arguments, "rows": len(grid.rows)} | provenance()
         io.write_json(folder / "manifest.json", manifest | {"finished": None})
 
 

@@ -55,10 +55,14 @@ class Grid:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """All that the results depend on, as a manifest holds it."""
-        return {"axes": {name: list(values) for name, values in self.axes.items()}} | {
-            "shared": dict(self.shared)
-        }
+        """All that the rows are made of, defaults included: lists for what an axis may be, else one value."""
+        listed = {name: list(values) for name, values in self.axes.items()}
+        for setting in fields(Settings):
+            name, value = setting.name, self.shared.get(setting.name, setting.default)
+            if name == "backbones" or (name == "apical_radius" and "ratio" in self.axes):
+                continue
+            listed.setdefault(name, [value] if name in AXES else value)
+        return listed
 
     def _settings(self, values: dict[str, Any]) -> Settings:
         if "ratio" in values:

@@ -16,6 +16,7 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 T = TypeVar("T")
 AXIS = "replicas"
+IN_TURN = ("cpu",)  # platforms whose devices take their replicas one after another, not all at once
 PROGRAMS: dict[Any, Callable] = {}  # compiled, for all who are alike in shapes
 
 
@@ -50,7 +51,7 @@ def run_together(tasks: Sequence[Task[T]], slots: int = 0) -> list[T]:
     over the devices of this process; slots without a request are skipped. So a program serves any number of
     replicas up to `slots`, and no replica's result depends on the others.
     """
-    devices = min(len(jax.local_devices()), max(slots, len(tasks)))
+    devices = max(1, min(len(jax.local_devices()), max(slots, len(tasks))))
     slots = -(-max(slots, len(tasks)) // devices) * devices
     ends: dict[int, T] = {}
     answers: dict[int, Any] = dict.fromkeys(range(len(tasks)))
@@ -144,7 +145,7 @@ def _lifted(function: Callable[..., Any], mesh: Mesh) -> Callable[..., Any]:
         return jax.lax.cond(call[0], lambda: function(*call[1]), lambda: empty)
 
     def share(active: jax.Array, arguments: tuple) -> Any:
-        if mesh.devices.flat[0].platform == "cpu":
+        if mesh.devices.flat[0].platform in IN_TURN:
             return jax.lax.map(one, (active, arguments))
         return jax.vmap(function)(*arguments)
 
