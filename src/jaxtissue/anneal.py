@@ -26,9 +26,7 @@ ALGORITHMS = ("is-mh", "mh")
 SPAN = 5  # the most sweeps between renewals of lists and rounds
 CANDIDATES = 24  # on each side of a cell during a sweep: three times as many as bound a cell
 MARGIN = 4  # longest moves by which a candidate may lie on the other side of a cell
-WINDOW = (
-    1.5  # mean cell widths on either side of a backbone that the first window of lines covers: most cells
-)
+WINDOW = 1.5  # mean cell widths on either side of a backbone that the first window of lines covers
 SPARSE = Resolution(4, 2)  # lines on which it is seen how clear of a cell its candidates are
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
 Plan = Sequence[Int[np.ndarray, "rounds width"]]  # the rounds of some sweeps
@@ -145,8 +143,7 @@ class Annealer:
         carried = np.stack([trail.volume[-1:], trail.lateral_area[-1:]])
         energies = []
         for sizes in (fresh.sizes, carried):
-            terms = yield from self._energies(sizes)
-            energies.append(float(terms[0, 0]))
+            energies.append((yield from self._energies(sizes))[0, 0].item())
         return after, trail, abs(energies[0] - energies[1]) / max(*map(abs, energies), 1e-300)
 
     def _play_on(
@@ -214,9 +211,8 @@ class Annealer:
 
     def _rounds(self, state: AnnealState) -> Task[Plan]:
         """For each sweep of a span the order of its moves: one by one, or in independent sets."""
-        n = len(state.positions)
         if self.algorithm == "mh":
-            return [one_by_one(self.seed, state.sweep + k, n) for k in range(SPAN)]
+            return [one_by_one(self.seed, state.sweep + k, len(state.positions)) for k in range(SPAN)]
         measured = yield from self._measure(state)
         return SPAN * [independent_rounds(self.conflicts, state.positions, self.model, measured.contacts)]
 

@@ -55,7 +55,9 @@ def use_cores(most: int) -> None:
     Unless JAX_NUM_CPU_DEVICES says how many, or JAX has computed anything yet.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if jax.config.jax_num_cpu_devices > 0 or "device_count" in os.environ.get("XLA_FLAGS", ""):
+    if getattr(jax.config, "jax_num_cpu_devices", -1) > 0 or "device_count" in os.environ.get(
+        "XLA_FLAGS", ""
+    ):
         return
     try:
         jax.config.update("jax_num_cpu_devices", max(1, min(cores, most)))
