@@ -10,7 +10,8 @@ import jax.numpy as jnp
 from matplotlib.figure import Figure
 
 import jaxtissue as jt
-from jaxtissue.anneal import PROGRAMS, SPAN
+from jaxtissue.anneal import SPAN
+from jaxtissue.programs import PROGRAMS
 
 SWEEPS = 100
 LOOKS = (0, 1, 2, 5, 10, 20, 30, 50, 75, 100)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from jaxtissue import anneal
-from jaxtissue.anneal import PROGRAMS, SPAN, Annealer, AnnealState, renews_at
+from jaxtissue.anneal import SPAN, Annealer, AnnealState, renews_at
 from jaxtissue.coloring import CONFLICTS
 from jaxtissue.energy import epithelial_energy, tube_model
 from jaxtissue.lines import PRESETS
+from jaxtissue.programs import PROGRAMS, run_together
 from jaxtissue.schedules import constant_schedule, geometric_schedule, has_stalled
 from jaxtissue.tube import Tube
 
@@ -139,6 +140,16 @@ def test_tubes_of_other_sizes_need_no_program_of_their_own(start) -> None:
     assert set(PROGRAMS) == programs
 
 
+def play_span(run: Annealer, state: AnnealState, sweeps: int):
+    """Some sweeps by the run's own rounds."""
+
+    def task():
+        plan = yield from run._rounds(state)
+        return (yield from run._play(state, plan, sweeps))
+
+    return run_together([task()])[0]
+
+
 def sweep_with(candidates: int, monkeypatch, sweeps: int):
     """State, trail and drift of some sweeps of 60 cells on so few candidates a side; how often played."""
     monkeypatch.setattr(anneal, "CANDIDATES", candidates)
@@ -146,12 +157,12 @@ def sweep_with(candidates: int, monkeypatch, sweeps: int):
 
     def count(*arguments):
         plays.append(arguments)
-        return Annealer._play_on(run, *arguments)
+        return (yield from Annealer._play_on(run, *arguments))
 
     monkeypatch.setattr(run, "_play_on", count)
     state = run.start(TUBE.random_positions(jax.random.key(4), CELLS))
     energy = run.record(state).energy
-    state, trail, drift = run._play(state, run._rounds(state), sweeps)
+    state, trail, drift = play_span(run, state, sweeps)
     change = run.record(state).energy - energy
     return state, trail, drift, abs(float(np.sum(trail.info.energy_change)) - change) / energy, len(plays)
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from jaxtissue import io
-from jaxtissue.anneal import AnnealState, SweepRecord
+from jaxtissue.anneal import AnnealState
+from jaxtissue.records import SweepRecord
 from jaxtissue.tube import Tube
 
 TUBE = Tube(100, 1, 10)

@@ -10,7 +10,8 @@ import jaxtissue
 TISSUE = ["backbones", "tube", "sampling", "lines", "voronoi", "spread", "walls", "cells"]
 TISSUE += ["candidates", "shortlists", "exact"]
 CONTACTS = ["leads", "fronts", "edges", "contacts", "transitions", "statistics", "laws"]
-MOVES = ["energy", "coloring", "changes", "metropolis", "spans", "schedules", "anneal"]
+MOVES = ["energy", "coloring", "changes", "metropolis", "spans", "rounds", "records", "programs"]
+MOVES += ["schedules", "anneal"]
 REPRODUCTION = ["tissues", "experiments", "timings", "published", "figures", "ratio_figures", "shapes"]
 REPRODUCTION += ["pictures", "tube_pictures", "claims", "run_claims", "ratio_claims", "items", "report"]
 REPRODUCTION += ["reproduce"]
@@ -21,6 +22,10 @@ PEOPLE = [
     "stopping",
     "tables",
     "runs",
+    "grids",
+    "batches",
+    "cluster",
+    "grid_runs",
     *(f"reproduction.{name}" for name in REPRODUCTION),
     "arguments",
     "cli",

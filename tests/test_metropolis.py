@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from jaxtissue.anneal import CAPACITY, PROGRAMS, SPAN, Annealer, _shortlists
+from jaxtissue.anneal import CANDIDATES, SPAN, Annealer
 from jaxtissue.candidates import padded, sided
 from jaxtissue.cells import measure_cells
 from jaxtissue.changes import tissue_state
@@ -14,6 +14,9 @@ from jaxtissue.coloring import color, hop_conflicts
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import PRESETS
 from jaxtissue.metropolis import move_bound, propose
+from jaxtissue.programs import PROGRAMS, ask, run_together
+from jaxtissue.records import shortlisted
+from jaxtissue.rounds import CAPACITY, padded_orders
 from jaxtissue.schedules import constant_schedule
 from jaxtissue.spans import play
 from jaxtissue.tube import Tube
@@ -30,25 +33,32 @@ class Bench:
     def __init__(self) -> None:
         self.annealer = Annealer(tube_model(TUBE, CELLS), PRESET, "is-mh", 5, constant_schedule(2.0, 20))
         self.start = self.annealer.start(TUBE.random_positions(jax.random.key(1), CELLS))
-        measured = self.annealer._measure(self.start)
+        measured, plan = run_together([self.annealer._measure(self.start), self.annealer._rounds(self.start)])
         self.lines = self.annealer._plan(CELLS)
-        self.near = _shortlists(measured.sides, measured.clear, 0)
+        self.near = shortlisted(measured.sides, measured.clear, CANDIDATES, 0)
         self.tissue = tissue_state(jnp.asarray(self.start.positions), measured.seen)
-        self.width = self.annealer._rounds(self.start)[0].shape[1]  # so that all share the run's program
+        self.width = plan[0].shape[1]  # so that all share the run's program
         self.rounds = color(hop_conflicts(measured.contacts(), 3), self.width)
         self.measure = jax.jit(measure_cells)
 
     def sweep(self, rounds: np.ndarray, temperature: float = 2.0, seed: int = 0, tissue=None):
         """The tissue after a sweep of at most `CAPACITY` rounds, and what happened."""
-        plan = np.full((SPAN, CAPACITY, self.width), -1, np.int32)
-        plan[0, : len(rounds), : rounds.shape[1]] = rounds
-        counts, temperatures = np.zeros(SPAN, np.int32), np.full(SPAN, temperature)
-        counts[0] = len(rounds)
-        after, trail = self.annealer._run(
-            play, np.uint32(seed), np.int32(0), tissue or self.tissue, self.annealer.model,
-            temperatures, self.near, (plan, counts), self.lines,
-        )  # fmt: skip
+        spare = ((0, 0), (0, self.width - rounds.shape[1]))
+        plan = [np.pad(rounds, spare, constant_values=-1)]
+        orders, temperatures = padded_orders(plan, SPAN, self.near), np.full(SPAN, temperature)
+        draw, tissue = (np.uint32(seed), np.int32(0)), tissue or self.tissue
+        rules = self.annealer.model, temperatures, self.near, orders, self.lines
+        ((after, trail),) = run_together([ask(play, *draw, tissue, *rules)])
         return after, jax.tree.map(lambda leaf: leaf[0], trail.info)
+
+    def play(self, state, sweeps: int, plan=None):
+        """Some sweeps by a plan, else by the run's own: the state after them, their trail and drift."""
+
+        def task():
+            chosen = plan or (yield from self.annealer._rounds(state))
+            return (yield from self.annealer._play(state, chosen, sweeps))
+
+        return run_together([task()])[0]
 
     def energy(self, positions) -> float:
         """Measured afresh, everyone a candidate of everyone."""
@@ -78,7 +88,7 @@ def bench(shared_bench, x64):
 def test_local_differences_add_up_to_the_global_energy(bench) -> None:
     state, total = bench.start, 0.0
     while state.sweep < 20:
-        state, trail, drift = bench.annealer._play(state, bench.annealer._rounds(state), SPAN)
+        state, trail, drift = bench.play(state, SPAN)
         total += float(trail.info.energy_change.sum())
         assert drift < 1e-9  # the bar, span by span, against lists found anew
     before, after = bench.energy(bench.start.positions), bench.energy(state.positions)
@@ -113,7 +123,7 @@ def test_colliding_moves_are_put_off_and_the_balance_holds(bench) -> None:
         assert info.rounds >= len(crowded) + info.collisions  # each in a round of its own
         _, hot = bench.sweep(crowded, temperature=1e30)
         assert hot.accepted == CELLS  # nobody is forgotten
-        state, trail, drift = bench.annealer._play(bench.start, [crowded.astype(np.int32)], 1)
+        state, trail, drift = bench.play(bench.start, 1, [crowded.astype(np.int32)])
         assert trail.info.collisions[0] > 0
         assert drift < 1e-9 and bench.imbalance(state, trail.info) < 1e-9  # the bar
 

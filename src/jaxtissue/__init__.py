@@ -8,7 +8,7 @@
 True
 """
 
-from jaxtissue.anneal import Annealer, AnnealState, SweepRecord
+from jaxtissue.anneal import Annealer, AnnealState, advance_together, record_together
 from jaxtissue.backbones import Backbones, distance_between_segments, distance_to_segment
 from jaxtissue.candidates import find_candidates, measure_tissue, sided, tiling_defect
 from jaxtissue.cells import CellGeometry, measure_cells
@@ -19,7 +19,8 @@ from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_mod
 from jaxtissue.exact import ExactDiagram, exact_cells
 from jaxtissue.laws import NeighborLaw, bound_ratios, fit_neighbor_law
 from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines, resolution_named
-from jaxtissue.metropolis import SweepInfo, sweep
+from jaxtissue.metropolis import Order, SweepInfo, sweep
+from jaxtissue.records import SweepRecord
 from jaxtissue.sampling import cartesian_voxels, cylindrical_voxels
 from jaxtissue.schedules import constant_schedule, geometric_schedule, has_stalled
 from jaxtissue.spread import (
@@ -54,12 +55,14 @@ __all__ = [
     "Lines",
     "Model",
     "NeighborLaw",
+    "Order",
     "Resolution",
     "SweepInfo",
     "SweepRecord",
     "TissueState",
     "Transitions",
     "Tube",
+    "advance_together",
     "bound_ratios",
     "cartesian_voxels",
     "cells_for_unit_volume",
@@ -87,6 +90,7 @@ __all__ = [
     "neighbor_bound",
     "plan_lines",
     "polygon_classes",
+    "record_together",
     "resolution_named",
     "separation",
     "sided",

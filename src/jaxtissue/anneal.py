@@ -1,60 +1,41 @@
 """Annealing: spans of sweeps, lists and rounds renewed between them, at a schedule of temperatures."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy import sparse
 
-from jaxtissue.candidates import contact_graph, find_candidates, padded
-from jaxtissue.cells import CellGeometry, Survey
+from jaxtissue.candidates import find_candidates, padded
+from jaxtissue.cells import CellGeometry
 from jaxtissue.changes import Neighborhoods, tissue_state
-from jaxtissue.coloring import CONFLICTS, color, distance_conflicts, hop_conflicts
+from jaxtissue.coloring import CONFLICTS
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines, Resolution, plan_lines
-from jaxtissue.metropolis import SweepInfo, move_bound
-from jaxtissue.shortlists import TOUCHES, around, find_unlisted, list_first, nearest_sides
-from jaxtissue.spans import Trail, energy_terms, look, play
-from jaxtissue.spread import covering_radius
+from jaxtissue.metropolis import move_bound
+from jaxtissue.programs import Request, Task, run_together
+from jaxtissue.records import Measured, SweepRecord, shortlisted, sweep_record
+from jaxtissue.rounds import independent_rounds, one_by_one, padded_orders
+from jaxtissue.shortlists import find_unlisted, list_first
+from jaxtissue.spans import Trail, energy_terms, fit_play, look, play
 
 ALGORITHMS = ("is-mh", "mh")
 SPAN = 5  # the most sweeps between renewals of lists and rounds
 CANDIDATES = 24  # on each side of a cell during a sweep: three times as many as bound a cell
 MARGIN = 4  # longest moves by which a candidate may lie on the other side of a cell
-WINDOW = (
-    1.5  # mean cell widths on either side of a backbone that the first window of lines covers: most cells
-)
-ROUNDS = 32  # sets that the cells are spread over at least: coloring takes 36 to 45
-CAPACITY = 64  # rounds are padded to a multiple of it
+WINDOW = 1.5  # mean cell widths on either side of a backbone that the first window of lines covers
 SPARSE = Resolution(4, 2)  # lines on which it is seen how clear of a cell its candidates are
-PROGRAMS: dict[Any, Callable] = {}  # compiled, for all runs alike in shapes
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
+Plan = Sequence[Int[np.ndarray, "rounds width"]]  # the rounds of some sweeps
+Span = tuple["AnnealState", list[SweepRecord], Float[np.ndarray, "sweeps n 2"]]
 
 
 def renews_at(sweep: int) -> bool:
     """Whether lists and rounds are renewed after a sweep: after each of the first, when cells move most."""
     return sweep <= 8 or sweep % SPAN == 0
-
-
-class Measured(NamedTuple):
-    """A state measured: its cells, and what was seen on the way."""
-
-    seen: Survey
-    sides: Int[np.ndarray, "n 2 candidates"]
-    clear: Float[np.ndarray, "n 2 candidates"]
-
-    def contacts(self, within: float = 0.0) -> sparse.csr_array:
-        """Who stops whom, or could if one of them were moved by at most `within`: [n, n], symmetric."""
-        return contact_graph(self.sides, self.clear < (within**2 if within else TOUCHES + 1))
-
-    @property
-    def sizes(self) -> Float[np.ndarray, "2 1 n"]:
-        """Volumes and lateral areas of the cells."""
-        return np.stack([self.seen.sizes.volume, self.seen.sizes.lateral_area])[:, None]
 
 
 class AnnealState(NamedTuple):
@@ -63,27 +44,6 @@ class AnnealState(NamedTuple):
     sweep: int
     positions: Float[np.ndarray, "n 2"]
     widths: tuple[int, int] = (0, 0)  # of the candidates on each side, and of all who are around a cell
-
-
-class SweepRecord(NamedTuple):
-    """One row of a run: the tissue after a sweep, and what the sweep did.
-
-    `drift` is the relative difference of the energy carried along by local differences to one measured afresh
-    with new candidate lists, where lists were renewed after the sweep, else 0; `left_cell` counts the moves
-    proposed out of their own cell.
-    """
-
-    sweep: int
-    energy: float
-    volume_energy: float
-    area_energy: float
-    temperature: float
-    acceptance: float
-    rounds: int
-    collisions: int
-    seconds: float
-    left_cell: int
-    drift: float
 
 
 class Annealer:
@@ -128,39 +88,50 @@ class Annealer:
 
     def record(self, state: AnnealState) -> SweepRecord:
         """The row of a state as it is, such as the initial one."""
-        return self._rows(state.sweep, self._measure(state).sizes, None, 0.0)[0]
+        return record_together([self], [state])[0]
 
-    def advance(
-        self, state: AnnealState
-    ) -> tuple[AnnealState, list[SweepRecord], Float[np.ndarray, "sweeps n 2"]]:
+    def advance(self, state: AnnealState) -> Span:
         """The sweeps up to the next at which lists are renewed, or to the schedule's last.
 
         The new state, a row for each sweep, and the backbones after each.
         """
+        return advance_together([self], [state])[0]
+
+    def _record(self, state: AnnealState) -> Task[SweepRecord]:
+        measured = yield from self._measure(state)
+        energies = yield from self._energies(measured.sizes)
+        return sweep_record(state.sweep, energies[:, 0], len(state.positions), self.temperatures)
+
+    def _advance(self, state: AnnealState, replicas: int) -> Task[Span]:
         begin, compiled = time.perf_counter(), self.compile_seconds
         ahead = range(state.sweep + 1, len(self.temperatures))
         sweeps = next(filter(renews_at, ahead), len(self.temperatures)) - state.sweep
-        after, trail, drift = self._play(state, self._rounds(state), sweeps)
-        seconds = (time.perf_counter() - begin - (self.compile_seconds - compiled)) / sweeps
+        plan = yield from self._rounds(state)
+        after, trail, drift = yield from self._play(state, plan, sweeps)
+        taken = time.perf_counter() - begin - (self.compile_seconds - compiled)
         sizes = np.stack([trail.volume, trail.lateral_area])
-        rows = self._rows(state.sweep + 1, sizes, trail.info, seconds)
+        energies = yield from self._energies(np.pad(sizes, ((0, 0), (0, SPAN - sweeps), (0, 0)), mode="edge"))
+        rows = []
+        for k in range(sweeps):
+            info = jax.tree.map(lambda leaf, k=k: leaf[k], trail.info)
+            number, cells = state.sweep + 1 + k, len(state.positions)
+            row = sweep_record(number, energies[:, k], cells, self.temperatures, info)
+            rows.append(row._replace(seconds=taken / sweeps / replicas))
         rows[-1] = rows[-1]._replace(drift=drift)
         return after, rows, np.asarray(trail.positions)
 
-    def _play(
-        self, state: AnnealState, plan: list[Int[np.ndarray, "rounds width"]], sweeps: int
-    ) -> tuple[AnnealState, Trail, float]:
+    def _play(self, state: AnnealState, plan: Plan, sweeps: int) -> Task[tuple[AnnealState, Trail, float]]:
         """Play the plan's rounds, sweep by sweep, on one set of candidate lists.
 
         Where a cell turns out to have lacked a candidate, it is listed and all is played again; in two
         halves, with lists renewed between them, where it was not even among those looked at before.
         """
-        measured = self._measure(state)
+        measured = yield from self._measure(state)
         clear = measured.clear.copy()
         while True:
-            near = _shortlists(measured.sides, clear, state.widths[1])
-            after, trail = self._play_on(near, state, plan, sweeps)
-            fresh = self._measure(after)
+            near = shortlisted(measured.sides, clear, CANDIDATES, state.widths[1])
+            after, trail = yield from self._play_on(near, state, plan, sweeps)
+            fresh = yield from self._measure(after)
             missing = self._missing(fresh, near, trail)
             if not len(missing):
                 break
@@ -168,31 +139,28 @@ class Annealer:
                 if sweeps == 1 and len(plan[0]) == 1:
                     break
                 self._last = state, measured
-                return self._play_halves(state, plan, sweeps)
+                return (yield from self._play_halves(state, plan, sweeps))
         carried = np.stack([trail.volume[-1:], trail.lateral_area[-1:]])
-        energies = [float(self._energies(sizes)[0, 0]) for sizes in (fresh.sizes, carried)]
+        energies = []
+        for sizes in (fresh.sizes, carried):
+            energies.append((yield from self._energies(sizes))[0, 0].item())
         return after, trail, abs(energies[0] - energies[1]) / max(*map(abs, energies), 1e-300)
 
     def _play_on(
-        self,
-        near: Neighborhoods,
-        state: AnnealState,
-        plan: list[Int[np.ndarray, "rounds width"]],
-        sweeps: int,
-    ) -> tuple[AnnealState, Trail]:
+        self, near: Neighborhoods, state: AnnealState, plan: Plan, sweeps: int
+    ) -> Task[tuple[AnnealState, Trail]]:
         """Play the plan on given lists."""
-        capacity = -(-max(map(len, plan)) // CAPACITY) * CAPACITY
-        rounds = np.full((SPAN, capacity, plan[0].shape[1]), -1, np.int32)
-        counts, temperatures = np.zeros(SPAN, np.int32), np.zeros(SPAN, state.positions.dtype)
-        for k in range(sweeps):
-            rounds[k, : len(plan[k])], counts[k] = plan[k], len(plan[k])
-            temperatures[k] = self.temperatures[state.sweep + k]
-        tissue = self._run(tissue_state, state.positions, self._measure(state).seen)
-        draw, order = (np.uint32(self.seed), np.int32(state.sweep)), (rounds, counts)
-        lines = self._plan(len(state.positions))
-        _, trail = self._run(play, *draw, tissue, self.model, temperatures, near, order, lines)
-        trail = jax.tree.map(lambda leaf: np.asarray(leaf[:sweeps]), trail)
-        widths = self._measure(state).sides.shape[2], near.around.shape[1]
+        orders = padded_orders(plan[:sweeps], SPAN, near)
+        temperatures = np.zeros(SPAN, state.positions.dtype)
+        temperatures[:sweeps] = self.temperatures[state.sweep : state.sweep + sweeps]
+        measured = yield from self._measure(state)
+        tissue = yield from self._ask(Request(tissue_state, (state.positions, measured.seen)))
+        draw, lines = (np.uint32(self.seed), np.int32(state.sweep)), self._plan(len(state.positions))
+        arguments = (*draw, tissue, self.model, temperatures, near, orders, lines)
+        needs = near.around.shape[1], orders.rounds.shape[1]
+        _, trail = yield from self._ask(Request(play, arguments, needs, fit_play))
+        trail = jax.tree.map(lambda leaf: leaf[:sweeps], trail)
+        widths = measured.sides.shape[2], near.around.shape[1]
         return AnnealState(state.sweep + sweeps, trail.positions[-1], widths), trail
 
     def _missing(self, fresh: Measured, near: Neighborhoods, trail: Trail) -> Int[np.ndarray, "pairs 2"]:
@@ -201,32 +169,36 @@ class Annealer:
         pairs = find_unlisted(np.asarray(fresh.seen.touched), fresh.sides, np.asarray(near.sides))
         return pairs[off[pairs[:, 0]] > self._exactness]
 
-    def _play_halves(self, state: AnnealState, plan: list, sweeps: int) -> tuple[AnnealState, Trail, float]:
+    def _play_halves(
+        self, state: AnnealState, plan: Plan, sweeps: int
+    ) -> Task[tuple[AnnealState, Trail, float]]:
         """Half of the sweeps, or of the one sweep's rounds, and the other half on new lists."""
         if sweeps > 1:
             half = sweeps // 2
-            middle, first, drift = self._play(state, plan[:half], half)
-            after, second, more = self._play(middle, plan[half:], sweeps - half)
+            middle, first, drift = yield from self._play(state, plan[:half], half)
+            after, second, more = yield from self._play(middle, plan[half:], sweeps - half)
             trail = jax.tree.map(lambda a, b: np.concatenate([a, b]), first, second)
             return after, trail, max(drift, more)
         half = len(plan[0]) // 2
-        middle, first, drift = self._play(state, [plan[0][:half]], 1)
-        after, second, more = self._play(middle._replace(sweep=state.sweep), [plan[0][half:]], 1)
+        middle, first, drift = yield from self._play(state, [plan[0][:half]], 1)
+        middle = middle._replace(sweep=state.sweep)
+        after, second, more = yield from self._play(middle, [plan[0][half:]], 1)
         info = jax.tree.map(lambda a, b: a + b, first.info, second.info)
         return after, second._replace(info=info), max(drift, more)
 
     def _plan(self, cells: int) -> Lines:
         return plan_lines(self.model.tube, cells, self.resolution, WINDOW)
 
-    def _measure(self, state: AnnealState) -> "Measured":
+    def _measure(self, state: AnnealState) -> Task[Measured]:
         """Measure the whole tissue on complete lists; the last result is kept."""
         if self._last and self._last[0].positions is state.positions:
             return self._last[1]
-        place, tube = jnp.asarray(state.positions), self.model.tube
-        sides = self._find(place, state.widths[0])
-        lines = self._plan(len(place)), plan_lines(tube, len(place), SPARSE)
-        seen, clear = self._run(look, place, self.model, lines, sides)
-        self._last = state, Measured(seen, sides, np.asarray(clear))
+        sides = self._find(jnp.asarray(state.positions), state.widths[0])
+        n = len(state.positions)
+        lines = self._plan(n), plan_lines(self.model.tube, n, SPARSE)
+        # lists are not padded to those of others: their width sets how finely `stop` compares
+        seen, clear = yield from self._ask(Request(look, (state.positions, self.model, lines, sides)))
+        self._last = state, Measured(seen, sides, clear)
         return self._last[1]
 
     def _find(self, place: Float[Array, "n 2"], width: int) -> Int[np.ndarray, "n 2 candidates"]:
@@ -237,73 +209,42 @@ class Annealer:
         self.compile_seconds += (time.perf_counter() - begin) * first
         return padded(sides, max(width, -(-sides.shape[2] // 24) * 24))
 
-    def _rounds(self, state: AnnealState) -> list[Int[np.ndarray, "rounds width"]]:
+    def _rounds(self, state: AnnealState) -> Task[Plan]:
         """For each sweep of a span the order of its moves: one by one, or in independent sets."""
-        n = len(state.positions)
         if self.algorithm == "mh":
-            orders = (np.random.default_rng([self.seed, state.sweep + k]).permutation(n) for k in range(SPAN))
-            return [order.astype(np.int32)[:, None] for order in orders]
-        if self.conflicts == "8-phi":
-            apical = np.asarray(self.model.tube.embed(jnp.asarray(state.positions)).apical)
-            radius = float(covering_radius(jnp.asarray(state.positions), self.model.tube))
-            graph = distance_conflicts(apical, 8 * radius)
-        elif self.conflicts == "near":
-            graph = hop_conflicts(self._measure(state).contacts(float(move_bound(self.model, n))), 2)
-        else:
-            graph = hop_conflicts(self._measure(state).contacts(), int(self.conflicts[0]))
-        return SPAN * [color(graph, max(1, round(n / ROUNDS)))]
+            return [one_by_one(self.seed, state.sweep + k, len(state.positions)) for k in range(SPAN)]
+        measured = yield from self._measure(state)
+        return SPAN * [independent_rounds(self.conflicts, state.positions, self.model, measured.contacts)]
 
-    def _run(self, function: Callable, *arguments: Any) -> Any:
-        """Call a jitted function, compiled beforehand so that its compile time is known."""
-        arguments = jax.tree.map(jnp.asarray, arguments)
-        leaves, structure = jax.tree.flatten(arguments)
-        known = (function, structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves))
-        if known not in PROGRAMS:
-            begin = time.perf_counter()
-            PROGRAMS[known] = jax.jit(function).lower(*arguments).compile()
-            self.compile_seconds += time.perf_counter() - begin
-        return jax.block_until_ready(PROGRAMS[known](*arguments))
+    def _ask(self, request: Request) -> Task[Any]:
+        """What a program gives; the time it took to compile is noted."""
+        answer = yield request
+        self.compile_seconds += answer.compile_seconds
+        return answer.result
 
-    def _energies(self, sizes: Float[np.ndarray, "2 sweeps n"]) -> Float[np.ndarray, "3 sweeps"]:
+    def _energies(self, sizes: Float[np.ndarray, "2 sweeps n"]) -> Task[Float[np.ndarray, "3 sweeps"]]:
         """Energy and the paper's two terms of it after each sweep, summed in double precision."""
-        terms = self._run(energy_terms, CellGeometry(*jnp.asarray(sizes)), self.model)
+        terms = yield from self._ask(Request(energy_terms, (CellGeometry(*sizes), self.model)))
         return np.array([np.sum(term, axis=1, dtype=float) for term in terms])
 
-    def _rows(
-        self, first: int, sizes: Float[np.ndarray, "2 sweeps n"], info: SweepInfo | None, seconds: float
-    ) -> list[SweepRecord]:
-        """The rows of sweeps `first`, `first` + 1, ...; of a state as it is where nothing was done."""
-        count, cells = sizes.shape[1:]
-        spare = SPAN - count if info else 0
-        energies = self._energies(np.pad(sizes, ((0, 0), (0, spare), (0, 0)), mode="edge"))
-        rows = []
-        for k in range(count):
-            index = min(max(first + k - 1, 0), len(self.temperatures) - 1)
-            accepted, collisions, left_cell, rounds, _ = (
-                (leaf[k].item() for leaf in info) if info else 5 * [0]
-            )
-            rows.append(
-                SweepRecord(
-                    first + k,
-                    *energies[:, k].tolist(),
-                    temperature=float(self.temperatures[index]) if len(self.temperatures) else 0.0,
-                    acceptance=accepted / cells,
-                    rounds=rounds,
-                    collisions=collisions,
-                    seconds=seconds,
-                    left_cell=left_cell,
-                    drift=0.0,
-                )
-            )
-        return rows
+
+def advance_together(
+    annealers: Sequence[Annealer], states: Sequence[AnnealState], slots: int = 0
+) -> list[Span]:
+    """`Annealer.advance` for some replicas at once, each its own annealer, to the same bits as alone.
+
+    Those alike in resolution, number of cells and energy function run in one compiled program, [replicas, n],
+    spread over the devices of this process; seeds, tubes, constants and temperatures are free. `slots`, at
+    least the number of replicas, is how many the program is compiled for.
+    """
+    count = len(annealers)
+    tasks = [annealer._advance(state, count) for annealer, state in zip(annealers, states, strict=True)]
+    return run_together(tasks, slots)
 
 
-def _shortlists(
-    sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"], width: int
-) -> Neighborhoods:
-    """The candidates of a few sweeps, and who is around each cell, at least of a width with room to grow."""
-    few = nearest_sides(sides, clear, min(CANDIDATES, sides.shape[2]))
-    lists = around(few)
-    if lists.shape[1] > width:
-        width = -(-int(1.1 * lists.shape[1]) // 16) * 16
-    return Neighborhoods(padded(lists, width), few)
+def record_together(
+    annealers: Sequence[Annealer], states: Sequence[AnnealState], slots: int = 0
+) -> list[SweepRecord]:
+    """`Annealer.record` for some replicas at once, as `advance_together`."""
+    tasks = [annealer._record(state) for annealer, state in zip(annealers, states, strict=True)]
+    return run_together(tasks, slots)

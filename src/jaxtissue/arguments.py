@@ -12,6 +12,7 @@ from jaxtissue.settings import Settings
 TUBE_SIZES = ("length", "apical_radius", "basal_radius")
 _HELP = {
     "anneal": "anneal a tissue into a folder, or take up a run there",
+    "sweep": "anneal a grid of tissues into one table, or what is missing of it",
     "measure": "measure the cells of given backbones",
     "compare": "show the errors of each preset against the exact path",
     "reproduce": "make the paper's table and figures, and a report that sets its numbers beside ours",
@@ -42,6 +43,7 @@ def command_parser() -> argparse.ArgumentParser:
         for size in TUBE_SIZES:
             command.add_argument(_option(size), type=_number(0, above=True), required=True, metavar="X")
         _add_folder(command, required=name == "measure")
+    _add_sweep(options["sweep"])
     _add_measure(options["measure"])
     _add_reproduce(options["reproduce"])
     options["compare"].add_argument(
@@ -77,6 +79,47 @@ def _add_anneal(command: argparse.ArgumentParser) -> None:
     _add(start, "cells", "number of random cells to start from", Settings.cells, type=_count(1), metavar="N")
 
 
+def _add_sweep(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder to make or go on with"
+    )
+    command.add_argument("--force", action="store_true", help="begin anew what is there already")
+    positive, size = _number(0, above=True), _number(0)
+    axes: dict[str, tuple[Callable[[str], Any], str, str]] = {
+        "length": (positive, "X", "lengths of the tube"),
+        "basal_radius": (positive, "X", "outer radii"),
+        "ratio": (_number(1, above=True), "X", "outer radius / radius of the lumen"),
+        "apical_radius": (positive, "X", "radii of the lumen, in place of ratios"),
+        "cells": (_count(1), "N", "numbers of cells"),
+        "modulus": (size, "K", "weights of the volume term"),
+        "tension": (size, "LAMBDA", "weights of the area term"),
+        "temperature": (size, "T", "temperatures, or those to cool down from"),
+        "seed": (_count(0, 2**32 - 1), "S", "of the random cells and moves"),
+    }
+    grid = command.add_argument_group("the grid, one or more values each")
+    for name, (kind, metavar, text) in axes.items():
+        default = getattr(Settings, name, None)
+        _add(grid, name, text, default, type=kind, metavar=metavar, nargs="+")
+    shared = command.add_argument_group("what all rows share")
+    _add(shared, "sweeps", "a sweep proposes one move per cell", Settings.sweeps, type=_count(0), metavar="N")
+    _add(shared, "final_temperature", "cool down to it", None, type=positive, metavar="T")
+    _add(shared, "resolution", "draft, standard, fine or LAYERSxDENSITY", Settings.resolution,
+         type=_resolution, metavar="NAME")  # fmt: skip
+    _add(shared, "algorithm", "rounds of independent moves, or one move at a time", Settings.algorithm,
+         choices=("is-mh", "mh"))  # fmt: skip
+    _add_contacts(shared, argparse.SUPPRESS, argparse.SUPPRESS)
+    work = command.add_argument_group("who does what")
+    work.add_argument("--batch", type=_count(1), metavar="N", help="rows annealed together and kept as they "
+                      "end (default: 4 for each processor core, 64 for each GPU)")  # fmt: skip
+    parts = work.add_mutually_exclusive_group()
+    parts.add_argument("--part", type=_part, metavar="K/N", help="do the K-th of N parts, from 1/N to N/N")
+    parts.add_argument("--slurm", action="store_true", help="do this job's part of a Slurm array")
+    parts.add_argument("--distributed", action="store_true", help="share the rows with other processes by "
+                       "jax.distributed, as the environment tells or by the next two options")  # fmt: skip
+    work.add_argument("--coordinator", metavar="HOST:PORT", help="where the first process listens")
+    work.add_argument("--process", type=_part, metavar="K/N", help="this is the K-th of N processes")
+
+
 def _add_measure(command: argparse.ArgumentParser) -> None:
     size = _number(0)
     command.add_argument("--resolution", type=_resolution, default="standard", metavar="NAME",
@@ -89,7 +132,7 @@ def _add_measure(command: argparse.ArgumentParser) -> None:
     command.add_argument("--graph", action="store_true", help="write the contact graph too, as graph.graphml")
 
 
-def _add_contacts(command: argparse.ArgumentParser, minimum: Any, without: Any) -> None:
+def _add_contacts(command: Any, minimum: Any, without: Any) -> None:
     text = f"leave out walls below F mean walls (default: {Settings.minimum_contact:g})"
     command.add_argument("--minimum-contact", type=_number(0), default=minimum, metavar="F", help=text)
     text = "sizes only: trace no contacts and transition points"
@@ -156,6 +199,14 @@ def _count(low: int, high: int = 10**9) -> Callable[[str], int]:
         return value
 
     return integer
+
+
+def _part(text: str) -> tuple[int, int]:
+    """K/N as the number of a part, counted from 0, and how many there are."""
+    first, slash, second = text.partition("/")
+    if not (slash and first.isdecimal() and second.isdecimal() and 1 <= int(first) <= int(second)):
+        raise argparse.ArgumentTypeError(f"{text!r} is no part; give K/N with K from 1 to N, such as 2/8")
+    return int(first) - 1, int(second)
 
 
 def _resolution(text: str) -> str:

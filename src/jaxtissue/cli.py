@@ -12,7 +12,10 @@ import jax.numpy as jnp
 
 from jaxtissue import io
 from jaxtissue.arguments import TUBE_SIZES, command_parser
+from jaxtissue.cluster import Part, join, slurm_part, use_cores
 from jaxtissue.energy import tube_model
+from jaxtissue.grid_runs import check_grid_folder, run_grid
+from jaxtissue.grids import AXES, Grid
 from jaxtissue.lines import resolution_named
 from jaxtissue.reproduction.reproduce import choose_items, make_plan, reproduce
 from jaxtissue.runs import resume_annealing, run_annealing
@@ -35,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 2 bad input, 128 + signal stopped, 1 other."""
     try:
         arguments = vars(command_parser().parse_args(argv))
-        work = {"anneal": anneal, "measure": measure, "compare": compare}
+        work = {"anneal": anneal, "sweep": sweep, "measure": measure, "compare": compare}
         work |= {"reproduce": reproduce_paper, "info": info}
         return work[arguments.pop("command")](arguments)
     except ValueError as error:
@@ -60,6 +63,41 @@ def anneal(arguments: dict[str, Any]) -> int:
         raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
     _use_x64(settings.x64)
     return run_annealing(folder, settings, force)
+
+
+def sweep(arguments: dict[str, Any]) -> int:
+    """Anneal a grid of tissues into one table, or what is missing of it."""
+    folder, force, batch = (arguments.pop(name) for name in ("out", "force", "batch"))
+    places = [arguments.pop(name) for name in ("part", "slurm", "distributed", "coordinator", "process")]
+    _refuse_both(arguments, "minimum_contact")
+    axes = {name: arguments.pop(name) for name in AXES if name in arguments}
+    grid = Grid(axes, arguments)
+    if grid.shared.get("final_temperature") and min(axes.get("temperature", [1.0])) == 0:
+        raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
+    check_grid_folder(folder, grid, force)
+    part = _find_part(*places)
+    _use_x64(arguments["x64"])
+    use_cores(min(len(part.share(grid.rows)), batch or len(grid.rows)))
+    return run_grid(folder, grid, part, force, batch)
+
+
+def _find_part(
+    part: tuple[int, int] | None,
+    slurm: bool,
+    distributed: bool,
+    coordinator: str | None,
+    process: tuple[int, int] | None,
+) -> Part:
+    """The part of the work that this process does."""
+    if not distributed and (coordinator or process):
+        raise ValueError("--coordinator and --process need --distributed; add it")
+    if (coordinator is None) != (process is None):
+        raise ValueError("--coordinator and --process need each other; give both, or none in a cluster")
+    if distributed:
+        return join(coordinator, process)
+    if slurm:
+        return slurm_part()
+    return Part(*part) if part else Part()
 
 
 def measure(arguments: dict[str, Any]) -> int:

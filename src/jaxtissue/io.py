@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import os
+import platform
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,7 +16,8 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 from scipy.spatial import KDTree
 
-from jaxtissue.anneal import AnnealState, SweepRecord
+from jaxtissue.anneal import AnnealState
+from jaxtissue.records import SweepRecord
 from jaxtissue.tube import Tube
 
 
@@ -226,7 +228,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
 @contextmanager
 def replacing(path: Path, mode: str) -> Iterator[IO[Any]]:
     """Open ("w" or "wb") a file that takes the place of `path` when it is complete and on the disk."""
-    temporary = path.with_name(f".{path.name}.part")
+    # processes on several machines may write to one folder
+    temporary = path.with_name(f".{path.name}.{platform.node()}-{os.getpid()}.part")
     encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
     try:
         with temporary.open(mode, encoding=encoding, newline=newline) as file:

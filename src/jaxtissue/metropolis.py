@@ -22,7 +22,6 @@ from jaxtissue.changes import (
     measure_changes,
     members,
     pick,
-    room,
 )
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines
@@ -37,6 +36,18 @@ class SweepInfo(NamedTuple):
     left_cell: Int[Array, ""]
     rounds: Int[Array, ""]
     energy_change: Float[Array, ""]
+
+
+class Order(NamedTuple):
+    """The rounds of a sweep: who moves in each, padded with -1, and how many rounds of them are played.
+
+    The moves of a round may change `room` cells together: what `changes.room` gives, or, where the lists are
+    padded, gave before.
+    """
+
+    rounds: Int[Array | np.ndarray, "rounds width"]
+    played: Int[Array | np.ndarray, ""]
+    room: Int[Array | np.ndarray, ""]
 
 
 def propose(key: PRNGKeyArray, place: Posts, model: Model) -> Posts:
@@ -62,19 +73,19 @@ def sweep(
     model: Model,
     temperature: Float[Array, ""],
     near: Neighborhoods,
-    rounds: Int[Array, "rounds width"],
-    count: Int[Array, ""],
+    order: Order,
     lines: Lines,
 ) -> tuple[TissueState, SweepInfo]:
     """One move for every cell, round by round: propose, find what changes, measure it, decide.
 
-    Only the first `count` of the (padded) `rounds` are played. A move that would change a cell which another
+    A move that would change a cell which another
     move of its round changes too is put off and played in a round of its own at the end; so are moves that
     change more cells than there is room for.
     """
     move_key, accept_key = jax.random.split(key)
     proposed = propose(move_key, state.place, model)
     chance = jax.random.uniform(accept_key, state.volume.shape, state.volume.dtype)
+    rounds, count = order.rounds, order.played
     alone = jnp.full(rounds.shape[1], -1, rounds.dtype)
 
     def unplayed(carry: tuple) -> Array:
@@ -90,7 +101,7 @@ def sweep(
         touched, perhaps = find_changed(movers, state, proposed, near, (model, lines))
         collides = find_collisions(touched, movers, near)
         measured = (touched | perhaps) & ~collides[:, None]
-        crowded = jnp.cumsum(measured.sum(axis=1)) > room(measured)
+        crowded = jnp.cumsum(measured.sum(axis=1)) > order.room
         measured &= ~crowded[:, None]
         changes = measure_changes(measured, movers, state, proposed, near, (model, lines))
         real = drop_unchanged(changes, touched, state, model)

@@ -84,6 +84,33 @@ def plot_volumes(
     return figure, axes
 
 
+def plot_grid(table: Mapping[str, ArrayLike], axes: Sequence[str]) -> tuple[Figure, Axes]:
+    """Energy per cell of the runs of a grid over the first of its `axes`, a line for each of the second.
+
+    `table` has the columns of table.csv. Dots are runs; a line goes through their means. Runs that differ in
+    further axes, such as the seed, are taken together.
+    """
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    panel = figure.subplots()
+    varied = [name for name in axes if name != "seed"] or ["seed"]
+    across, energy = np.asarray(table[varied[0]]), np.asarray(table["energy"]) / np.asarray(table["cells"])
+    kinds = np.asarray(table[varied[1]]) if len(varied) > 1 else np.zeros(len(across))
+    colors = mpl.colormaps["viridis"](np.linspace(0, 0.9, len(np.unique(kinds))))
+    for kind, color in zip(np.unique(kinds), colors, strict=True):
+        own = kinds == kind
+        label = f"{varied[1].replace('_', ' ')} {kind:g}" if len(varied) > 1 else None
+        places = np.unique(across[own])
+        means = [energy[own & (across == place)].mean() for place in places]
+        panel.plot(places, means, color=color, label=label)
+        panel.plot(across[own], energy[own], ".", color=color)
+    panel.set(xlabel=varied[0].replace("_", " "), ylabel="energy per cell (tube units)")
+    panel.set_title("Energy after the last sweep")
+    panel.grid(color="0.9")
+    if len(varied) > 1:
+        panel.legend()
+    return figure, panel
+
+
 def plot_surfaces(tube: Tube, tissues: Sequence[Tissue]) -> tuple[Figure, np.ndarray]:
     """The unrolled basal (top) and apical (bottom) surface of some tissues, one column each (paper, Fig. 9).
 

@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxtissue.candidates import padded
 from jaxtissue.cells import CellGeometry, Survey, measure_cells
 from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.energy import Model, lateral_tension, volume_elasticity
 from jaxtissue.lines import Lines
-from jaxtissue.metropolis import SweepInfo, sweep
+from jaxtissue.metropolis import Order, SweepInfo, sweep
 from jaxtissue.shortlists import STOPS, TOUCHES, clearance
 
 
@@ -43,23 +44,33 @@ def play(
     model: Model,
     temperatures: Float[Array, "sweeps"],
     near: Neighborhoods,
-    plan: tuple[Int[Array, "sweeps rounds width"], Int[Array, "sweeps"]],
+    orders: Order,
     lines: Lines,
 ) -> tuple[TissueState, Trail]:
     """Sweeps `first`, `first` + 1, ... of the run with this seed, each with a key of its own number.
 
+    The leaves of `orders` have an axis of sweeps.
     A sweep without rounds is none: so fewer sweeps than temperatures need no program of their own.
     """
 
     def one(state: TissueState, this: tuple) -> tuple[TissueState, Trail]:
-        number, temperature, rounds, count = this
+        number, temperature, order = this
         key = jax.random.fold_in(jax.random.key(seed), number)
-        state, info = sweep(key, state, model, temperature, near, rounds, count, lines)
+        state, info = sweep(key, state, model, temperature, near, order, lines)
         positions = jnp.stack([state.place.axial, state.place.angle], axis=-1)
         return state, Trail(state.volume, state.lateral_area, positions, info)
 
     numbers = first + jnp.arange(len(temperatures))
-    return jax.lax.scan(one, state, (numbers, temperatures, *plan))
+    return jax.lax.scan(one, state, (numbers, temperatures, orders))
+
+
+def fit_play(arguments: tuple, sizes: tuple[int, ...]) -> tuple:
+    """The arguments of `play` with lists of all around a cell and with rounds of the given lengths."""
+    *others, near, orders, lines = arguments
+    spare = ((0, 0), (0, sizes[1] - orders.rounds.shape[1]), (0, 0))
+    near = near._replace(around=padded(near.around, sizes[0]))
+    orders = orders._replace(rounds=np.pad(orders.rounds, spare, constant_values=-1))
+    return (*others, near, orders, lines)
 
 
 def energy_terms(cells: CellGeometry, model: Model) -> tuple[Array, Array, Array]:

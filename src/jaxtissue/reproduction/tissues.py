@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxtissue.anneal import Annealer, SweepRecord
+from jaxtissue.anneal import Annealer
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import PRESETS
+from jaxtissue.records import SweepRecord
 from jaxtissue.sampling import cylindrical_voxels
 from jaxtissue.schedules import constant_schedule
 from jaxtissue.tube import Tube

@@ -1,0 +1,79 @@
+"""A grid of annealing runs: every combination of some values, a row each."""
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from jaxtissue.settings import Settings
+
+AXES = ("length", "basal_radius", "ratio", "apical_radius", "cells", "modulus", "tension", "temperature")
+AXES += ("seed",)  # the later, the faster it runs
+_SETTINGS = {setting.name for setting in fields(Settings)}
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Runs for all combinations of the values in `axes`; `shared` holds the settings that all have.
+
+    An axis is one of `AXES`, `ratio` being R_b / R_a; what is on no axis and not shared has its default. Each
+    row is the run that `jaxtissue anneal` makes with the same settings, to the bit. Raises `ValueError` for
+    other names, an axis without values, a value given twice, both `ratio` and `apical_radius`, and sizes that
+    make no tube.
+
+    >>> grid = Grid({"seed": [0, 1], "ratio": [2, 5]}, {"sweeps": 3})
+    >>> [(row.apical_radius, row.seed) for row in grid.rows]
+    [(5.0, 0), (5.0, 1), (2.0, 0), (2.0, 1)]
+    """
+
+    axes: Mapping[str, list]
+    shared: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, values in self.axes.items():
+            if name not in AXES:
+                raise ValueError(f"{name!r} is no axis of a grid; use one of {', '.join(AXES)}")
+            if not values:
+                raise ValueError(f"{name} has no values; give at least one or leave it out")
+            for value in values:
+                if values.count(value) > 1:
+                    raise ValueError(f"{name}={value} is given twice; leave one out")
+        for name in self.shared:
+            if name not in _SETTINGS or name in self.axes:
+                raise ValueError(f"{name!r} can't be shared by all rows; leave it out")
+        if {"ratio", "apical_radius"} <= self.axes.keys():
+            raise ValueError("ratio and apical_radius both set the lumen; leave one out")
+        for row in self.rows:
+            _ = row.tube
+
+    @property
+    def rows(self) -> list[Settings]:
+        """The settings of each run."""
+        names = [name for name in AXES if name in self.axes]
+        combinations = itertools.product(*(self.axes[name] for name in names))
+        return [self._settings(dict(zip(names, values, strict=True))) for values in combinations]
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """All that the rows are made of, defaults included: lists for what an axis may be, else one value."""
+        listed = {name: list(values) for name, values in self.axes.items()}
+        for setting in fields(Settings):
+            name, value = setting.name, self.shared.get(setting.name, setting.default)
+            if name == "backbones" or (name == "apical_radius" and "ratio" in self.axes):
+                continue
+            listed.setdefault(name, [value] if name in AXES else value)
+        return listed
+
+    def _settings(self, values: dict[str, Any]) -> Settings:
+        if "ratio" in values:
+            outer = values.get("basal_radius", self.shared.get("basal_radius", Settings.basal_radius))
+            values["apical_radius"] = outer / values.pop("ratio")
+        return Settings(**self.shared, **values)
+
+
+def describe(row: Settings) -> dict[str, Any]:
+    """The parameters of a run as columns of the table."""
+    names = ("length", "apical_radius", "basal_radius", "cells", "modulus", "tension", "temperature", "seed")
+    values = {name: getattr(row, name) for name in (*names, "sweeps", "algorithm", "resolution")}
+    values |= {} if row.final_temperature is None else {"final_temperature": row.final_temperature}
+    return {"ratio": row.basal_radius / row.apical_radius} | values

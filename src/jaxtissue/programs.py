@@ -1,0 +1,153 @@
+"""Compiled programs: kept for all who are alike in shapes, and lifted over replicas and devices.
+
+What happens to one replica is written as for one, as a task: a generator that yields a `Request` wherever it
+needs something compiled. Tasks go on turn by turn, and requests of one turn that are alike run together.
+"""
+
+import functools
+import time
+from collections.abc import Callable, Generator, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
+
+T = TypeVar("T")
+AXIS = "replicas"
+IN_TURN = ("cpu",)  # platforms whose devices take their replicas one after another, not all at once
+PROGRAMS: dict[Any, Callable] = {}  # compiled, for all who are alike in shapes
+
+
+class Request(NamedTuple):
+    """A call of a jittable function with the arrays of one replica.
+
+    Where the axes of some arrays may be longer than one replica needs, `sizes` tells what it needs, and
+    `fit(arguments, sizes)` pads to those of all; that must not change the result.
+    """
+
+    function: Callable[..., Any]
+    arguments: tuple
+    sizes: tuple[int, ...] = ()
+    fit: Callable[[tuple, tuple[int, ...]], tuple] | None = None
+
+
+class Answer(NamedTuple):
+    """What a request gave, as NumPy arrays, and the seconds that compiling took of it."""
+
+    result: Any
+    compile_seconds: float
+
+
+Task = Generator[Request, Answer, T]
+
+
+def run_together(tasks: Sequence[Task[T]], slots: int = 0) -> list[T]:
+    """Run tasks to their ends, one for each replica, and return what each returns.
+
+    A turn takes every task to its next request; requests of one function and alike in shapes then run as one
+    program. Its arrays have a leading axis of `slots` replicas (at least as many as there are tasks), spread
+    over the devices of this process; slots without a request are skipped. So a program serves any number of
+    replicas up to `slots`, and no replica's result depends on the others.
+    """
+    devices = max(1, min(len(jax.local_devices()), max(slots, len(tasks))))
+    slots = -(-max(slots, len(tasks)) // devices) * devices
+    ends: dict[int, T] = {}
+    answers: dict[int, Any] = dict.fromkeys(range(len(tasks)))
+    widest: dict[Callable, tuple[int, ...]] = {}
+    while answers:
+        groups: dict[Any, list[int]] = {}
+        asked: dict[int, Request] = {}
+        for number, answer in answers.items():
+            try:
+                asked[number] = tasks[number].send(answer)
+            except StopIteration as end:
+                ends[number] = end.value
+        for function, *sizes in {(request.function, *request.sizes) for request in asked.values()}:
+            widest[function] = tuple(map(max, sizes, widest.get(function, sizes)))
+        for number, request in asked.items():
+            arguments = _fitted(request, widest[request.function])
+            asked[number] = request._replace(arguments=arguments)
+            groups.setdefault((request.function, _shapes(arguments)), []).append(number)
+        answers = {}
+        for (function, _), numbers in groups.items():
+            some = [asked[number].arguments for number in numbers]
+            answers |= zip(numbers, _run_alike(function, some, slots, devices), strict=True)
+    return [ends[number] for number in range(len(tasks))]
+
+
+def ask(function: Callable[..., Any], *arguments: Any) -> Task[Any]:
+    """The task that makes one request and returns its result."""
+    return (yield Request(function, arguments)).result
+
+
+def _fitted(request: Request, sizes: tuple[int, ...]) -> tuple:
+    """The arguments as NumPy arrays of the precision JAX works in, padded to `sizes`."""
+
+    def plain(leaf: Any) -> np.ndarray:
+        array = np.asarray(leaf)
+        return array.astype(jax.dtypes.canonicalize_dtype(array.dtype), copy=False)
+
+    arguments = request.fit(request.arguments, sizes) if request.fit else request.arguments
+    return jax.tree.map(plain, arguments)
+
+
+def _shapes(arguments: Any) -> tuple:
+    """What a program is compiled for."""
+    leaves, structure = jax.tree.flatten(arguments)
+    return structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+
+
+def _run_alike(function: Callable, calls: Sequence[tuple], slots: int, devices: int) -> list[Answer]:
+    """One answer for each call; all are alike in shapes."""
+    # one call on each device first, then the second on each
+    place = np.arange(slots).reshape(devices, -1).T.ravel()[: len(calls)]
+
+    def stacked(*leaves: np.ndarray) -> np.ndarray:
+        table = np.empty((slots, *leaves[0].shape), leaves[0].dtype)
+        table[:] = leaves[0]
+        for at, leaf in zip(place[1:], leaves[1:], strict=True):
+            table[at] = leaf
+        return table
+
+    active = np.zeros(slots, bool)
+    active[place] = True
+    mesh = _mesh(devices)
+    batch = jax.device_put((active, jax.tree.map(stacked, *calls)), NamedSharding(mesh, PartitionSpec(AXIS)))
+    known, compiling = (function, _shapes(batch), mesh), 0.0
+    if known not in PROGRAMS:
+        begin = time.perf_counter()
+        PROGRAMS[known] = jax.jit(_lifted(function, mesh)).lower(*batch).compile()
+        compiling = time.perf_counter() - begin
+    results = jax.tree.map(np.asarray, PROGRAMS[known](*batch))
+    return [Answer(jax.tree.map(lambda leaf, at=at: leaf[at], results), compiling) for at in place]
+
+
+@functools.cache
+def _mesh(devices: int) -> Mesh:
+    """The first devices of this process, in a row."""
+    some = jax.local_devices()[:devices]
+    return jax.make_mesh((devices,), (AXIS,), (AxisType.Auto,), devices=some)
+
+
+def _lifted(function: Callable[..., Any], mesh: Mesh) -> Callable[..., Any]:
+    """A function of one replica as one of many, [replicas, ...], whose replicas are spread over a mesh.
+
+    A CPU takes its replicas one after another, and skips those that are not active; others take all at once.
+    """
+
+    def one(call: tuple) -> Any:
+        # a branch is compiled by itself: whatever is around it, the result is the same to the bit
+        empty = jax.tree.map(
+            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(function, *call[1])
+        )
+        return jax.lax.cond(call[0], lambda: function(*call[1]), lambda: empty)
+
+    def share(active: jax.Array, arguments: tuple) -> Any:
+        if mesh.devices.flat[0].platform in IN_TURN:
+            return jax.lax.map(one, (active, arguments))
+        return jax.vmap(function)(*arguments)
+
+    spec = PartitionSpec(AXIS)
+    return jax.shard_map(share, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)

@@ -1,0 +1,91 @@
+"""What a run tells of each sweep, and a tissue as it is measured between sweeps."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import sparse
+
+from jaxtissue.candidates import contact_graph, padded
+from jaxtissue.cells import Survey
+from jaxtissue.changes import Neighborhoods
+from jaxtissue.metropolis import SweepInfo
+from jaxtissue.shortlists import TOUCHES, around, nearest_sides
+
+
+class Measured(NamedTuple):
+    """A state measured: its cells, and what was seen on the way."""
+
+    seen: Survey
+    sides: Int[np.ndarray, "n 2 candidates"]
+    clear: Float[np.ndarray, "n 2 candidates"]
+
+    def contacts(self, within: float = 0.0) -> sparse.csr_array:
+        """Who stops whom, or could if one of them were moved by at most `within`: [n, n], symmetric."""
+        return contact_graph(self.sides, self.clear < (within**2 if within else TOUCHES + 1))
+
+    @property
+    def sizes(self) -> Float[np.ndarray, "2 1 n"]:
+        """Volumes and lateral areas of the cells."""
+        return np.stack([self.seen.sizes.volume, self.seen.sizes.lateral_area])[:, None]
+
+
+class SweepRecord(NamedTuple):
+    """One row of a run: the tissue after a sweep, and what the sweep did.
+
+    `drift` is the relative difference of the energy carried along by local differences to one measured afresh
+    with new candidate lists, where lists were renewed after the sweep, else 0; `left_cell` counts the moves
+    proposed out of their own cell. `seconds` of replicas that run together are shared out among them.
+    """
+
+    sweep: int
+    energy: float
+    volume_energy: float
+    area_energy: float
+    temperature: float
+    acceptance: float
+    rounds: int
+    collisions: int
+    seconds: float
+    left_cell: int
+    drift: float
+
+
+def sweep_record(
+    sweep: int,
+    energies: Float[np.ndarray, "3"],
+    cells: int,
+    temperatures: Float[np.ndarray, "sweeps"],
+    info: SweepInfo | None = None,
+) -> SweepRecord:
+    """The row of a sweep, the first of which has the number 1; of a state as it is where nothing was done."""
+    index = min(max(sweep - 1, 0), len(temperatures) - 1)
+    accepted, collisions, left_cell, rounds, _ = (np.asarray(leaf).item() for leaf in info or 5 * [0])
+    return SweepRecord(
+        sweep,
+        *energies.tolist(),
+        temperature=float(temperatures[index]) if len(temperatures) else 0.0,
+        acceptance=accepted / cells,
+        rounds=rounds,
+        collisions=collisions,
+        seconds=0.0,
+        left_cell=left_cell,
+        drift=0.0,
+    )
+
+
+def shortlisted(
+    sides: Int[np.ndarray, "n 2 candidates"],
+    clear: Float[np.ndarray, "n 2 candidates"],
+    count: int,
+    width: int,
+) -> Neighborhoods:
+    """At most `count` candidates a side for a few sweeps, and who is around each cell, at least of a width.
+
+    With room to grow, where the width is not enough.
+    """
+    few = nearest_sides(sides, clear, min(count, sides.shape[2]))
+    lists = around(few)
+    if lists.shape[1] > width:
+        width = -(-int(1.1 * lists.shape[1]) // 16) * 16
+    return Neighborhoods(padded(lists, width), few)

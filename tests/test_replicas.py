@@ -1,0 +1,138 @@
+"""Replicas: together as alone to the bit, whatever differs among them, in one program, however lifted."""
+
+import jax
+import numpy as np
+import pytest
+
+from jaxtissue import anneal, programs
+from jaxtissue.anneal import Annealer, advance_together, record_together
+from jaxtissue.energy import tube_model
+from jaxtissue.lines import PRESETS
+from jaxtissue.programs import PROGRAMS, Request, ask, run_together
+from jaxtissue.tube import Tube
+
+CELLS = 24
+SWEEPS = 4
+SLOTS = 4
+KINDS = [  # tube, modulus, tension, seed, temperature
+    (Tube(12.0, 2.0, 4.0), 1.0, 0.4, 0, 0.5),
+    (Tube(12.0, 0.5, 4.0), 1.0, 0.4, 0, 0.5),
+    (Tube(20.0, 1.0, 3.0), 0.3, 1.1, 7, 2.0),
+    (Tube(9.0, 0.05, 3.0), 2.0, 0.0, 2**32 - 1, 0.0),
+]
+OTHERS = [
+    (Tube(15.0, 1.5, 5.0), 0.7, 0.2, 3, 1.0),
+    (Tube(12.0, 2.0, 4.0), 1.0, 0.5, 4, 0.1),
+]
+
+
+def replica(kind: tuple) -> tuple:
+    """The annealer of a kind, and the state before its first sweep."""
+    tube, modulus, tension, seed, temperature = kind
+    model, temperatures = tube_model(tube, CELLS, modulus, tension), np.full(SWEEPS, temperature)
+    run = Annealer(model, PRESETS["draft"], "is-mh", seed, temperatures)
+    return run, run.start(tube.random_positions(jax.random.key(seed), CELLS))
+
+
+def play(kinds: list, slots: int = 0) -> list:
+    """What each replica tells of all its sweeps, from the first state to the last."""
+    runs, states = zip(*map(replica, kinds), strict=True)
+    told = [[record] for record in record_together(runs, states, slots)]
+    while states[0].sweep < SWEEPS:
+        spans = advance_together(runs, states, slots)
+        states = [state for state, _, _ in spans]
+        for known, (_, rows, places) in zip(told, spans, strict=True):
+            known += [*(row._replace(seconds=0.0) for row in rows), *places.tolist()]
+    return [(known, state.sweep, state.widths) for known, state in zip(told, states, strict=True)]
+
+
+@pytest.fixture
+def quick_compile():
+    """Compile without optimization, what is not compiled yet."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
+@pytest.fixture(scope="module")
+def together() -> tuple[list, int]:
+    """What four different replicas tell that run together, and how many programs were compiled for it."""
+    before = len(PROGRAMS)
+    told = play(KINDS, SLOTS)
+    return told, len(PROGRAMS) - before
+
+
+def test_replicas_together_are_those_alone_to_the_bit(together) -> None:
+    for kind, told in zip(KINDS, together[0], strict=True):
+        assert [told] == play([kind])
+
+
+def test_other_values_and_fewer_replicas_need_no_program_of_their_own(together) -> None:
+    known, compiled = set(PROGRAMS), together[1]
+    assert 4 <= compiled <= 6  # look, state, play, energies of one state and of a span
+    first, second = play(OTHERS, SLOTS)
+    assert set(PROGRAMS) == known
+    assert [second, first, together[0][1]] == play([*OTHERS[::-1], KINDS[1]], SLOTS)
+    assert set(PROGRAMS) == known
+
+
+@pytest.mark.parametrize("again", ["replayed", "in halves"])
+def test_a_replay_leaves_the_others_alone(again: str, quick_compile, monkeypatch) -> None:
+    plays, usual = [], Annealer._play_on
+
+    def noted(run, *arguments):
+        plays.append(run.seed)
+        return (yield from usual(run, *arguments))
+
+    monkeypatch.setattr(anneal, "CANDIDATES", 8)
+    monkeypatch.setattr(Annealer, "_play_on", noted)
+    if again == "in halves":
+        monkeypatch.setattr(anneal, "list_first", lambda *_: False)
+    told, counts = play(KINDS, SLOTS), {seed: plays.count(seed) for seed in set(plays)}
+    assert len(set(counts.values())) > 1  # some replicas were played more often than others
+    assert told == [one for kind in KINDS for one in play([kind], SLOTS)]
+
+
+def test_replicas_all_at_once_as_on_a_gpu(x64, quick_compile, monkeypatch) -> None:
+    expected = play(KINDS[:2], 2)
+    monkeypatch.setattr(programs, "IN_TURN", ())
+    monkeypatch.setattr(programs, "PROGRAMS", {})
+    for (known, *_), (right, *_) in zip(play(KINDS[:2], 2), expected, strict=True):
+        for value, other in zip(known, right, strict=True):
+            np.testing.assert_allclose(value, other, rtol=1e-9, atol=1e-9)  # float64, other sums
+
+
+def test_tasks_go_on_turn_by_turn_and_slots_without_one_are_skipped() -> None:
+    def double(number: jax.Array) -> jax.Array:
+        return 2 * number
+
+    def doubled(times: int):
+        number = np.float32(1.5)
+        for _ in range(times):
+            number = (yield Request(double, (number,))).result
+        return number
+
+    before = len(PROGRAMS)
+    assert run_together([doubled(0), doubled(1), doubled(3)], slots=5) == [1.5, 3.0, 12.0]
+    assert len(PROGRAMS) == before + 1
+    assert run_together([]) == []
+    with pytest.raises(ZeroDivisionError):
+        run_together([ask(double, np.float32(1 / (len(PROGRAMS) - before - 1)))])
+
+
+def test_requests_of_other_shapes_run_in_programs_of_their_own() -> None:
+    def total(table: jax.Array) -> jax.Array:
+        return table.sum()
+
+    tables = [np.ones(3, np.float32), np.ones(5, np.float32), np.full(3, 2, np.float32)]
+    assert run_together([ask(total, table) for table in tables]) == [3.0, 5.0, 6.0]
+
+    def fit(arguments: tuple, sizes: tuple[int, ...]) -> tuple:
+        return (np.pad(arguments[0], (0, sizes[0] - len(arguments[0]))),)
+
+    def task(table: np.ndarray):
+        return (yield Request(total, (table,), (len(table),), fit)).result
+
+    before = len(PROGRAMS)
+    assert run_together([task(table) for table in tables]) == [3.0, 5.0, 6.0]
+    assert len(PROGRAMS) == before + 1
