@@ -20,7 +20,7 @@ from peer import find_peer
 import jaxtissue as jt
 
 LAYERS, DENSITIES = (2, 3, 4, 5, 6, 8, 10, 12), (2, 3, 4, 4.5, 6, 8, 10, 12)
-FEW = ((2, 2), (3, 3), (4, 4.5), (6, 8), (8, 8), (10, 10), (12, 12))  # from scratch, and on one core
+FEW = ((2, 2), (3, 3), (4, 4.5), (6, 8), (8, 10), (10, 10), (12, 12))  # from scratch, and on one core
 VOXELS = (1.0, 0.5, 0.25)
 EXACT = (5, 10, 20, 50, 100)
 PEER = (4, 5, 10, 20, 50)

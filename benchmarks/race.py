@@ -20,7 +20,7 @@ from peer import Peer, find_peer
 import jaxtissue as jt
 from jaxtissue.anneal import SPAN, WINDOW
 
-RESOLUTIONS = (*jt.PRESETS, "4x4", "4x4.5", "8x8")
+RESOLUTIONS = (*jt.PRESETS, "4x4", "4x4.5", "8x8", "8x10")
 ALGORITHMS, SAMPLES = ("incremental MH", "IS-MH"), (4, 10, 50)
 WARM_UP = (
     2 * SPAN
@@ -31,7 +31,7 @@ _measure = jax.jit(jt.measure_cells)
 
 def our_diagram(place: np.ndarray, tube: jt.Tube, size: jt.Resolution, kept: jax.Array) -> dict[str, Any]:
     """A diagram on the annealer's lists, kept, and one on complete lists found anew: seconds, and sizes."""
-    positions, seconds = jnp.asarray(place), []
+    positions, seconds, sizes = jnp.asarray(place), [], None
     begin = time.perf_counter()
     sides = jnp.asarray(jt.find_candidates(place, tube))
     jax.block_until_ready(_measure(positions, tube, jt.plan_lines(tube, len(place), size), sides))
@@ -39,9 +39,10 @@ def our_diagram(place: np.ndarray, tube: jt.Tube, size: jt.Resolution, kept: jax
     lines = jt.plan_lines(tube, len(place), size, WINDOW)
     for _ in range(5):
         begin = time.perf_counter()
-        cells, _ = jax.block_until_ready(_measure(positions, tube, lines, kept))
+        sizes, _ = jax.block_until_ready(_measure(positions, tube, lines, kept))
         seconds.append(time.perf_counter() - begin)
-    row = {"sizes": (cells.volume, cells.lateral_area)}
+    assert sizes
+    row = {"sizes": (sizes.volume, sizes.lateral_area)}
     return row | {"scratch": scratch, "diagram": float(np.median(seconds))}
 
 
@@ -89,7 +90,8 @@ def race(radius: float, n: int, peer: Peer | None, arguments: Any) -> dict[str, 
     ours: dict[str, list] = {name: [] for name in arguments.resolutions}
     theirs: dict[tuple[str, int], list] = {rival: [] for rival in product(ALGORITHMS, SAMPLES)}
     for size in sizes.values():  # compiled before the race
-        our_diagram(place, tube, size, kept), our_sweeps(place, tube, size)
+        our_diagram(place, tube, size, kept)
+        our_sweeps(place, tube, size)
     for _ in range(arguments.repeats):
         for name, size in sizes.items():
             ours[name].append(our_diagram(place, tube, size, kept) | our_sweeps(place, tube, size))
