@@ -10,7 +10,7 @@ import jaxtissue
 TISSUE = ["backbones", "tube", "sampling", "lines", "voronoi", "spread", "walls", "cells"]
 TISSUE += ["candidates", "shortlists", "exact"]
 CONTACTS = ["leads", "fronts", "edges", "contacts", "transitions", "statistics", "laws"]
-MOVES = ["energy", "coloring", "changes", "metropolis", "spans", "schedules", "anneal"]
+MOVES = ["energy", "coloring", "changes", "metropolis", "spans", "schedules", "anneal", "memory"]
 REPRODUCTION = ["tissues", "experiments", "timings", "published", "figures", "ratio_figures", "shapes"]
 REPRODUCTION += ["pictures", "tube_pictures", "claims", "run_claims", "ratio_claims", "items", "report"]
 REPRODUCTION += ["reproduce"]
