@@ -10,6 +10,8 @@ from jaxtissue.candidates import (
     NEAREST,
     contact_graph,
     find_candidates,
+    least,
+    linked,
     nearest,
     padded,
     sided,
@@ -113,6 +115,34 @@ def test_padding_is_the_cell_itself(tissue) -> None:
     np.testing.assert_array_equal(wider[..., : sides.shape[2]], sides)
     assert (wider[..., sides.shape[2] :] == np.arange(CELLS)[:, None, None]).all()
     np.testing.assert_array_equal(padded(sides, 1), sides)
+
+
+@pytest.mark.parametrize("count", [1, 7, 24, 40])
+def test_the_least_are_those_a_stable_sort_puts_first(count: int) -> None:
+    random = np.random.default_rng(count)
+    scores = random.choice([TOUCHES, STOPS, 0.0, 1e-20, 0.5, 1e20, np.inf], size=(30, 2, 33))
+    scores = np.where(random.random(scores.shape) < 0.5, scores, random.normal(size=scores.shape))
+    expected = np.argsort(scores.astype(np.float32), axis=2, kind="stable")[..., :count]
+    np.testing.assert_array_equal(np.sort(least(scores, count)), np.sort(expected))
+
+
+def test_pairs_link_both_ways_and_none_with_itself() -> None:
+    first, second = np.random.default_rng(1).integers(0, 40, (2, 90))
+    expected = np.zeros((40, 40), bool)
+    expected[first, second] = expected[second, first] = True
+    np.fill_diagonal(expected, False)
+    graph = linked(first, second, 40)
+    np.testing.assert_array_equal(graph.toarray(), expected)
+    assert graph.nnz == expected.sum()  # nobody twice
+
+
+def test_one_rival_left_out_shows_in_the_tiling(tissue) -> None:
+    positions, sides, touched, _, _ = tissue
+    # a cell of the last block, which is padded, loses all who stop it
+    cell = CELLS - 1
+    lists = np.where(touched[cell], cell, sides[cell])
+    assert tiling_defect(positions, TUBE, np.r_[sides[:-1], lists[None]]) > 1e-3
+    assert tiling_defect(positions, TUBE, sides) < 1e-5  # float32, measured 1.2e-6
 
 
 @pytest.mark.parametrize("n, ratio", [(1, 3), (2, 3), (3, 3), (40, 3), (300, 3), (70, 200)])

@@ -18,10 +18,14 @@ def matrix(graph: nx.Graph) -> sparse.csr_array:
     return nx.to_scipy_sparse_array(graph, dtype=bool, format="csr")
 
 
-@given(st.integers(1, 60), st.floats(0, 12), st.integers(0, 99), st.integers(1, 20))
-def test_rounds_hold_every_cell_once_and_no_conflict(n: int, degree: float, seed: int, width: int) -> None:
+@given(st.integers(1, 60), st.floats(0, 12), st.integers(0, 99), st.integers(1, 20), st.booleans())
+def test_rounds_hold_every_cell_once_and_no_conflict(
+    n: int, degree: float, seed: int, width: int, given_order: bool
+) -> None:
     conflicts = hop_conflicts(matrix(random_graph(n, degree, seed)), 1)
-    rounds = color(conflicts, width)
+    order = np.random.default_rng(seed).permutation(n) if given_order else None
+    rounds = color(conflicts, width, order)
+    np.testing.assert_array_equal(rounds, color(conflicts, width, order))
     assert rounds.shape[1] == width
     assert sorted(rounds[rounds >= 0].tolist()) == list(range(n))
     for members in rounds:
@@ -30,6 +34,21 @@ def test_rounds_hold_every_cell_once_and_no_conflict(n: int, degree: float, seed
     # greedy: a round is skipped only for a conflict or when full
     most = int(conflicts.sum(axis=1).max())
     assert len(rounds) <= most + 1 + n // width
+
+
+@pytest.mark.parametrize("n", [200, 2000])
+def test_rounds_do_not_grow_in_number_along_a_tube(n: int) -> None:
+    # everyone conflicts with the 12 next on either side: any 13 in a row need 13 rounds, and those do
+    far = abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    conflicts = sparse.csr_array((far > 0) & (far <= 12))
+    for order in (np.arange(n), np.arange(n)[::-1], None):
+        assert len(color(conflicts, -(-n // 13) + 2, order)) == 13
+
+
+def test_cells_make_room_until_the_smallest_rounds_are_empty() -> None:
+    # a chain taken ends first: first fit takes 3 rounds for it, unless an end makes room
+    chain = hop_conflicts(matrix(nx.path_graph(4)), 1)
+    assert color(chain, 4, np.array([0, 3, 1, 2])).tolist() == [[0, 2, -1, -1], [1, 3, -1, -1]]
 
 
 def test_a_complete_graph_is_visited_one_by_one_and_an_empty_one_at_once() -> None:

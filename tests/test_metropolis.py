@@ -120,7 +120,7 @@ def test_colliding_moves_are_put_off_and_the_balance_holds(bench) -> None:
         crowded = np.pad(order, (0, -CELLS % bench.width), constant_values=-1).reshape(-1, bench.width)
         _, info = bench.sweep(crowded)
         assert info.collisions > 0
-        assert info.rounds >= len(crowded) + info.collisions  # each in a round of its own
+        assert info.rounds > len(crowded)  # put off to later ones
         _, hot = bench.sweep(crowded, temperature=1e30)
         assert hot.accepted == CELLS  # nobody is forgotten
         state, trail, drift = bench.play(bench.start, 1, [crowded.astype(np.int32)])

@@ -130,7 +130,7 @@ class Annealer:
         clear = measured.clear.copy()
         while True:
             near = shortlisted(measured.sides, clear, CANDIDATES, state.widths[1])
-            after, trail = yield from self._play_on(near, state, plan, sweeps)
+            after, trail = yield from self._play_on(near, state, measured, plan[:sweeps])
             fresh = yield from self._measure(after)
             missing = self._missing(fresh, near, trail)
             if not len(missing):
@@ -147,13 +147,12 @@ class Annealer:
         return after, trail, abs(energies[0] - energies[1]) / max(*map(abs, energies), 1e-300)
 
     def _play_on(
-        self, near: Neighborhoods, state: AnnealState, plan: Plan, sweeps: int
+        self, near: Neighborhoods, state: AnnealState, measured: Measured, plan: Plan
     ) -> Task[tuple[AnnealState, Trail]]:
         """Play the plan on given lists."""
-        orders = padded_orders(plan[:sweeps], SPAN, near)
+        orders, sweeps = padded_orders(plan, SPAN, near), len(plan)
         temperatures = np.zeros(SPAN, state.positions.dtype)
         temperatures[:sweeps] = self.temperatures[state.sweep : state.sweep + sweeps]
-        measured = yield from self._measure(state)
         tissue = yield from self._ask(Request(tissue_state, (state.positions, measured.seen)))
         draw, lines = (np.uint32(self.seed), np.int32(state.sweep)), self._plan(len(state.positions))
         arguments = (*draw, tissue, self.model, temperatures, near, orders, lines)

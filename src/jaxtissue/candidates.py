@@ -62,10 +62,8 @@ def nearest(
     """The `count` backbones nearest to each by `spacing`, among those next to it along the axis."""
     place, n = np.asarray(positions, float), len(positions)
     count = min(count, n - 1)
-    density, width = (
-        n / float(tube.length),
-        math.sqrt(2 * math.pi * float(tube.basal_radius * tube.length) / n),
-    )
+    density, radii = n / float(tube.length), (float(tube.apical_radius), float(tube.basal_radius))
+    width = math.sqrt(2 * math.pi * radii[1] / density)
     # on either side; 6 mean cell widths at the basal surface, where NEAREST are as many as usual
     window = min(n - 1, max(count, math.ceil(6 * density * width * count / NEAREST)))
     order = np.argsort(place[:, 0], kind="stable")
@@ -83,7 +81,7 @@ def nearest(
             view[own] * column[own, None] if k else view[own] - column[own, None]
             for k, (view, column) in enumerate(zip(views, columns, strict=True))
         )
-        score = spacing_at(gap.astype(np.float32), (cosine + sine).astype(np.float32), tube)
+        score = spacing_at(gap.astype(np.float32), (cosine + sine).astype(np.float32), *radii)
         score[:, window] = np.inf
         rank = np.arange(start, start + len(score))[:, None] + least(score, count) - window
         lists[order[own]] = order[rank]
@@ -114,12 +112,12 @@ def spacing(place: np.ndarray, first: np.ndarray, second: np.ndarray, tube: Tube
     Squared, up to a constant factor: so it is measured in mean cell widths.
     """
     gap = place[first, 0] - place[second, 0]
-    return spacing_at(gap, np.cos(place[first, 1] - place[second, 1]), tube)
+    radii = float(tube.apical_radius), float(tube.basal_radius)
+    return spacing_at(gap, np.cos(place[first, 1] - place[second, 1]), *radii)
 
 
-def spacing_at(gap: np.ndarray, cosine: np.ndarray, tube: Tube) -> np.ndarray:
+def spacing_at(gap: np.ndarray, cosine: np.ndarray, inner: float, outer: float) -> np.ndarray:
     """The same for backbones `gap` apart along the axis, and at an angle of that cosine."""
-    inner, outer = float(tube.apical_radius), float(tube.basal_radius)
     square = gap * gap
     score = (square + 2 * inner * inner * (1 - cosine)) / inner  # at the apical surface
     for radius in map(float, np.geomspace(inner, outer, 3)[1:]):
@@ -203,11 +201,12 @@ def tiling_defect(
     def spare(start: Array) -> Float[Array, "lines"]:
         """What a block of cells fills of each line beyond its share of the cells: sums that stay small."""
         which = start + jnp.arange(width)
-        rivals = lists[jnp.minimum(which, n - 1)].transpose(2, 1, 0)
-        own, others = (Posts(*(column[at] for column in place)) for at in (jnp.minimum(which, n - 1), rivals))
+        cells = jnp.minimum(which, n - 1)
+        numbers = lists[cells].transpose(2, 1, 0)
+        own, others = (Posts(*(column[at] for column in place)) for at in (cells, numbers))
         offset = jnp.mod(jnp.tile(angle, 5)[:, None] - own.angle + np.pi, 2 * np.pi) - np.pi
         ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
-        rivals = settled(lambda: see_rivals(own, others, rivals < which, tube), truth)
+        rivals = settled(lambda: see_rivals(own, others, numbers < cells, tube), truth)
         grid = see_angles(radius, offset)
         by = stop(grid, rivals, ends, tube, truth)
         length = walls(by, rivals, ends, grid, tube, truth).reach.sum(axis=1)

@@ -76,7 +76,7 @@ def find_changed(
     pairs = cells.ravel()
     own, reach = pick(state.place, pairs[:, None]), state.reach[pairs]
     grid = jax.tree.map(lambda table: table[:, 0], see_lines(lines, model.tube, reach.dtype))
-    facing = jnp.where(reach > -jnp.inf, reach + 1e-5 * (model.tube.length + jnp.abs(reach)), reach)
+    facing = jnp.where(reach > -jnp.inf, reach + 1e-5 * (model.tube.basal_radius + jnp.abs(reach)), reach)
 
     def undercuts(movers: Posts, facing: Array) -> Array:
         mover = Posts(*(jnp.repeat(column, cells.shape[1])[:, None] for column in movers))
@@ -196,8 +196,7 @@ def local_differences(
     """Energy difference of each move: the sum over the cells it changes."""
     new = model.cell_energy(CellGeometry(changes.volume, changes.lateral_area), model)
     old = model.cell_energy(CellGeometry(state.volume[changes.cell], state.lateral_area[changes.cell]), model)
-    own = changes.move == jnp.arange(width)[:, None]
-    return jnp.where(own & real, new - old, 0).sum(axis=1)
+    return jnp.zeros(width, new.dtype).at[changes.move].add(jnp.where(real, new - old, 0))
 
 
 def apply(

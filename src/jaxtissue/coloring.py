@@ -12,12 +12,12 @@ REHOUSED = 2  # most cells that make room for another when rounds are emptied: 3
 
 def hop_conflicts(contacts: sparse.csr_array, hops: int) -> sparse.csr_array:
     """Moves conflict if their cells are within `hops` contacts: [n, n], symmetric, no diagonal."""
-    one = sparse.csr_array(contacts.astype(bool) + sparse.eye_array(contacts.shape[0], dtype=bool))
+    n = len(contacts.indptr) - 1
+    one = sparse.csr_array(contacts.astype(bool) + sparse.eye_array(n, dtype=bool))
     reached = one
     for _ in range(hops - 1):
         reached = sparse.csr_array(reached @ one)  # of bools: "or", which does not overflow
-    n, sizes = reached.shape[0], np.diff(reached.indptr)
-    off = reached.indices != np.repeat(np.arange(n, dtype=np.int32), sizes)
+    off = reached.indices != np.repeat(np.arange(n, dtype=np.int32), np.diff(reached.indptr))
     others = reached.indices[off]
     start = reached.indptr - np.arange(n + 1, dtype=reached.indptr.dtype)
     return sparse.csr_array((np.ones(len(others), bool), others, start), shape=(n, n))

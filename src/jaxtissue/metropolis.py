@@ -78,15 +78,14 @@ def sweep(
 ) -> tuple[TissueState, SweepInfo]:
     """One move for every cell, round by round: propose, find what changes, measure it, decide.
 
-    A move that would change a cell which another
-    move of its round changes too is put off and played in a round of its own at the end; so are moves that
-    change more cells than there is room for.
+    A move that would change a cell which an earlier move of its round changes too is put off to the rounds at
+    the end; so are moves that change more cells than there is room for.
     """
     move_key, accept_key = jax.random.split(key)
     proposed = propose(move_key, state.place, model)
     chance = jax.random.uniform(accept_key, state.volume.shape, state.volume.dtype)
     rounds, count = order.rounds, order.played
-    alone = jnp.full(rounds.shape[1], -1, rounds.dtype)
+    n = len(chance)
 
     def unplayed(carry: tuple) -> Array:
         number, deferred = carry[0], carry[1]
@@ -95,9 +94,13 @@ def sweep(
     def play(carry: tuple) -> tuple:
         number, deferred, state, info = carry
         planned = number < count
-        next_alone = jnp.argmax(deferred).astype(rounds.dtype)
-        movers = jnp.where(planned, rounds[jnp.minimum(number, len(rounds) - 1)], alone.at[0].set(next_alone))
-        deferred = deferred.at[next_alone].set(deferred[next_alone] & planned)
+        # of those put off the first collides with none, so that there are fewer every time
+        movers = jax.lax.cond(
+            planned,
+            lambda: rounds[jnp.minimum(number, len(rounds) - 1)],
+            lambda: jnp.nonzero(deferred, size=rounds.shape[1], fill_value=-1)[0].astype(rounds.dtype),
+        )
+        deferred = deferred.at[jnp.where(planned | (movers < 0), n, movers)].set(False, mode="drop")
         touched, perhaps = find_changed(movers, state, proposed, near, (model, lines))
         collides = find_collisions(touched, movers, near)
         measured = (touched | perhaps) & ~collides[:, None]
@@ -111,11 +114,10 @@ def sweep(
         difference = local_differences(changes, real, state, model, len(movers))
         weight = jnp.exp(-jnp.maximum(difference, 0) / jnp.maximum(temperature, jnp.finfo(chance.dtype).tiny))
         accept = (movers >= 0) & ~put_off & (chance[movers] < weight)
-        n = len(chance)
         deferred = deferred.at[jnp.where(put_off, movers, n)].set(True, mode="drop")
         info = SweepInfo(
             info.accepted + accept.sum(dtype=jnp.int32),
-            info.collisions + collides.sum(dtype=jnp.int32),
+            info.collisions + (collides & planned).sum(dtype=jnp.int32),
             info.left_cell + count_left(movers, state.place, proposed, near, model),
             info.rounds + 1,
             info.energy_change + jnp.where(accept, difference, 0).sum(),

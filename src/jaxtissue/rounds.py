@@ -41,7 +41,7 @@ def independent_rounds(
         graph = hop_conflicts(contacts(float(move_bound(model, n))), 2)
     else:
         graph = hop_conflicts(contacts(0.0), int(rule[0]))
-    return color(graph, max(1, round(n / ROUNDS)))
+    return color(graph, max(1, round(n / ROUNDS)), np.argsort(positions[:, 0], kind="stable"))
 
 
 def padded_orders(plan: Sequence[Int[np.ndarray, "rounds width"]], sweeps: int, near: Neighborhoods) -> Order:

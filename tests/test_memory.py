@@ -1,0 +1,33 @@
+"""The estimate of a run's memory: linear in cells and replicas, and a warning only where it won't do."""
+
+import pytest
+
+from jaxtissue.lines import PRESETS
+from jaxtissue.memory import BASE, estimate_memory, machine_memory, memory_warning
+from jaxtissue.tube import Tube
+
+
+def estimate(cells: int, **options: int) -> float:
+    tube = Tube(length=cells / 5, apical_radius=1.0, basal_radius=10.0)
+    return estimate_memory(cells, tube, PRESETS["draft"], **options) - BASE
+
+
+def test_memory_grows_with_cells_and_replicas() -> None:
+    assert estimate(50_000) == pytest.approx(10 * estimate(5000), rel=1e-6)  # whole bytes
+    assert estimate(500, replicas=100) == pytest.approx(estimate(50_000), rel=1e-6)
+    assert estimate(5000) < estimate(5000, float_bytes=8) < 2 * estimate(5000)
+
+
+def test_a_hundred_thousand_cells_fit_16_gb() -> None:
+    assert BASE + estimate(100_000) < 16e9
+
+
+def test_the_warning_names_what_is_needed_and_what_there_is() -> None:
+    assert memory_warning(10, 10) is None and memory_warning(10, None) is None
+    text = memory_warning(int(33e9), int(16e9))
+    assert text is not None and "33.0 GB" in text and "16.0 GB" in text and "fewer cells" in text
+
+
+def test_the_machine_has_memory() -> None:
+    memory = machine_memory()
+    assert memory is None or memory > 1e8
