@@ -25,6 +25,7 @@ from jaxtissue.spans import Trail, energy_terms, fit_play, look, play
 ALGORITHMS = ("is-mh", "mh")
 SPAN = 5  # the most sweeps between renewals of lists and rounds
 CANDIDATES = 24  # on each side of a cell during a sweep: three times as many as bound a cell
+NEAR = 3  # longest moves within which a candidate is on a shortlist if the cell is on its
 MARGIN = 4  # longest moves by which a candidate may lie on the other side of a cell
 WINDOW = 1.5  # mean cell widths on either side of a backbone that the first window of lines covers
 SPARSE = Resolution(4, 2)  # lines on which it is seen how clear of a cell its candidates are
@@ -127,9 +128,9 @@ class Annealer:
         halves, with lists renewed between them, where it was not even among those looked at before.
         """
         measured = yield from self._measure(state)
-        clear = measured.clear.copy()
+        clear, within = measured.clear.copy(), NEAR * float(move_bound(self.model, len(state.positions)))
         while True:
-            near = shortlisted(measured.sides, clear, CANDIDATES, state.widths[1])
+            near = shortlisted(measured.sides, clear, within, (CANDIDATES, state.widths[1]))
             after, trail = yield from self._play_on(near, state, measured, plan[:sweeps])
             fresh = yield from self._measure(after)
             missing = self._missing(fresh, near, trail)

@@ -10,7 +10,7 @@ from jaxtissue.candidates import contact_graph, padded
 from jaxtissue.cells import Survey
 from jaxtissue.changes import Neighborhoods
 from jaxtissue.metropolis import SweepInfo
-from jaxtissue.shortlists import TOUCHES, around, nearest_sides
+from jaxtissue.shortlists import TOUCHES, around, mutual, nearest_sides
 
 
 class Measured(NamedTuple):
@@ -77,14 +77,16 @@ def sweep_record(
 def shortlisted(
     sides: Int[np.ndarray, "n 2 candidates"],
     clear: Float[np.ndarray, "n 2 candidates"],
-    count: int,
-    width: int,
+    within: float,
+    sizes: tuple[int, int],
 ) -> Neighborhoods:
-    """At most `count` candidates a side for a few sweeps, and who is around each cell, at least of a width.
+    """At most `sizes[0]` candidates a side for a few sweeps, and who is around each cell, at least `sizes[1]`.
 
-    With room to grow, where the width is not enough.
+    With room to grow, where that is not enough. A pair is ranked by the nearer of its two clearances, if that
+    is less than `within`.
     """
-    few = nearest_sides(sides, clear, min(count, sides.shape[2]))
+    count, width = sizes
+    few = nearest_sides(sides, mutual(sides, clear, within), min(count, sides.shape[2]))
     lists = around(few)
     if lists.shape[1] > width:
         width = -(-int(1.1 * lists.shape[1]) // 16) * 16

@@ -72,6 +72,20 @@ def nearest_sides(
     return padded(np.where(np.isfinite(clear), sides, own), count)
 
 
+def mutual(
+    sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"], within: float
+) -> Float[np.ndarray, "n 2 candidates"]:
+    """Clearances, of each pair nearer than `within` the smaller of both: first orders err on one side."""
+    at = np.flatnonzero(clear < within**2)
+    (cell, side), rival = divmod(at // sides.shape[2], 2), sides.reshape(-1)[at]
+    back = sides[rival, 1 - side] == cell[:, None]
+    listed = np.flatnonzero(back.any(axis=1))
+    where = rival[listed], 1 - side[listed], back[listed].argmax(axis=1)
+    both = clear.copy()
+    both[where] = np.minimum(both[where], clear.reshape(-1)[at[listed]])
+    return both
+
+
 def around(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n around"]:
     """Of each cell all who have it among their candidates, and its own; padded with itself."""
     n = len(sides)
