@@ -105,7 +105,7 @@ def test_all_at_once_as_on_a_gpu_is_the_same_as_in_turn(monkeypatch) -> None:
 
     def play(values: range) -> list[tuple]:
         models = [tube_model(Tube(1.0, 1.0, 2.0), 3, modulus=1.0 + value) for value in values]
-        tables = [np.arange(3, dtype=np.float32) * 2**value for value in values]
+        tables = [np.arange(3, dtype=np.float32) * 4**value for value in values]
         results = run_together([ask(shrink, *both) for both in zip(tables, models, strict=True)], 4)
         return [(table.tolist(), int(count)) for table, count in results]
 
