@@ -122,7 +122,7 @@ def test_two_processes_give_what_one_gives(whole, tmp_path) -> None:
         place = f"localhost:{free.getsockname()[1]}"
     joined = ("--distributed", "--coordinator", place, "--process")
     first, second = finish(*(start(folder, *joined, f"{k}/2") for k in (1, 2)))
-    assert "4 of 4" in first and second == ""
+    assert "4 of 4" in first and "written" not in second  # one of them assembles the table
     assert same_grid(folder, whole)
 
 
