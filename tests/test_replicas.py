@@ -1,12 +1,13 @@
 """Replicas: together as alone to the bit, whatever differs among them, in one program, however lifted."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxtissue import anneal, programs
 from jaxtissue.anneal import Annealer, advance_together, record_together
-from jaxtissue.energy import tube_model
+from jaxtissue.energy import Model, tube_model
 from jaxtissue.lines import PRESETS
 from jaxtissue.programs import PROGRAMS, Request, ask, run_together
 from jaxtissue.tube import Tube
@@ -93,13 +94,26 @@ def test_a_replay_leaves_the_others_alone(again: str, quick_compile, monkeypatch
     assert told == [one for kind in KINDS for one in play([kind], SLOTS)]
 
 
-def test_replicas_all_at_once_as_on_a_gpu(x64, quick_compile, monkeypatch) -> None:
-    expected = play(KINDS[:2], 2)
+def test_all_at_once_as_on_a_gpu_is_the_same_as_in_turn(monkeypatch) -> None:
+    def shrink(start: jax.Array, model: Model) -> tuple[jax.Array, jax.Array]:
+        """Halve until below a bound of the replica's own; how often."""
+        return jax.lax.while_loop(
+            lambda state: state[0].sum() > model.modulus,
+            lambda state: (state[0] / 2, state[1] + 1),
+            (start, jnp.zeros((), jnp.int32)),
+        )
+
+    def play(values: range) -> list[tuple]:
+        models = [tube_model(Tube(1.0, 1.0, 2.0), 3, modulus=1.0 + value) for value in values]
+        tables = [np.arange(3, dtype=np.float32) * 4**value for value in values]
+        results = run_together([ask(shrink, *both) for both in zip(tables, models, strict=True)], 4)
+        return [(table.tolist(), int(count)) for table, count in results]
+
+    in_turn = play(range(3))
+    assert len({count for _, count in in_turn}) == 3
     monkeypatch.setattr(programs, "IN_TURN", ())
     monkeypatch.setattr(programs, "PROGRAMS", {})
-    for (known, *_), (right, *_) in zip(play(KINDS[:2], 2), expected, strict=True):
-        for value, other in zip(known, right, strict=True):
-            np.testing.assert_allclose(value, other, rtol=1e-9, atol=1e-9)  # float64, other sums
+    assert play(range(3)) == in_turn
 
 
 def test_tasks_go_on_turn_by_turn_and_slots_without_one_are_skipped() -> None:
@@ -135,4 +149,4 @@ def test_requests_of_other_shapes_run_in_programs_of_their_own() -> None:
 
     before = len(PROGRAMS)
     assert run_together([task(table) for table in tables]) == [3.0, 5.0, 6.0]
-    assert len(PROGRAMS) == before + 1
+    assert len(PROGRAMS) == before  # all in that of the longest

@@ -28,9 +28,15 @@ class Part:
         return list(rows[self.number :: self.count])
 
     def wait(self, name: str) -> None:
-        """Wait until all processes are here; those of parts that are not joined do not wait."""
-        if self.joined:
-            multihost_utils.sync_global_devices(name)
+        """Wait until all processes are here; those of parts that are not joined do not wait.
+
+        Raises `ConnectionError` where one is lost.
+        """
+        try:
+            if self.joined:
+                multihost_utils.sync_global_devices(name)
+        except RuntimeError as error:
+            raise ConnectionError(f"another process is lost ({error})") from error
 
 
 def slurm_part(environment: Mapping[str, str] = os.environ) -> Part:
@@ -55,9 +61,8 @@ def use_cores(most: int) -> None:
     Unless JAX_NUM_CPU_DEVICES says how many, or JAX has computed anything yet.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if getattr(jax.config, "jax_num_cpu_devices", -1) > 0 or "device_count" in os.environ.get(
-        "XLA_FLAGS", ""
-    ):
+    forced = "device_count" in os.environ.get("XLA_FLAGS", "")
+    if forced or getattr(jax.config, "jax_num_cpu_devices", -1) > 0:
         return
     try:
         jax.config.update("jax_num_cpu_devices", max(1, min(cores, most)))

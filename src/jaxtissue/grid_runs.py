@@ -81,11 +81,11 @@ def run_grid(folder: Path, grid: Grid, part: Part, force: bool = False, batch: i
 def check_grid_folder(folder: Path, grid: Grid, force: bool) -> None:
     """Raise `ValueError` unless `folder` is new, or this grid's, or may be written over; touches nothing."""
     manifest = folder / "manifest.json"
-    ours = folder.is_dir() and {path.name.split(".")[0] for path in folder.iterdir()} <= {"", *FOLDERS}
-    if force or not (ours or manifest.is_file()):
-        return io.check_folder(folder, force)
+    if force or not folder.is_dir():
+        return io.check_folder(folder, force=True)  # another part may just make it
     if not manifest.is_file():
-        return None
+        known = {"", "manifest", *FOLDERS}  # a folder that another part has just made
+        return io.check_folder(folder, force={path.name.split(".")[0] for path in folder.iterdir()} <= known)
     try:
         before, given = json.loads(manifest.read_text(encoding="utf-8"))["arguments"], grid.arguments
         names = list(before | given)
@@ -119,7 +119,7 @@ def _prepare(folder: Path, grid: Grid, force: bool) -> None:
 
 def _anneal(run: GridRun, missing: list[int], size: int) -> bool:
     """Anneal the missing rows, batch by batch; whether that came to its end."""
-    slots = min(size, len(missing))
+    slots = min(size, len(run.rows))  # so that going on needs no other program
     sweeps = run.rows[0].sweeps
     bar = tqdm(total=len(missing) * sweeps, desc="compiling", unit="sweep", disable=None)
     with bar:
