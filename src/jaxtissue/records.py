@@ -80,7 +80,7 @@ def shortlisted(
     within: float,
     sizes: tuple[int, int],
 ) -> Neighborhoods:
-    """At most `sizes[0]` candidates a side for a few sweeps, and who is around each cell, at least `sizes[1]`.
+    """At most `sizes[0]` candidates a side for a few sweeps, and all around each cell, at least `sizes[1]`.
 
     With room to grow, where that is not enough. A pair is ranked by the nearer of its two clearances, if that
     is less than `within`.

@@ -19,6 +19,7 @@ from jaxtissue import io
 from jaxtissue.anneal import SPAN, Annealer, AnnealState, renews_at
 from jaxtissue.candidates import measure_tissue
 from jaxtissue.lines import PRESETS, resolution_named
+from jaxtissue.memory import tell_memory
 from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes
 from jaxtissue.schedules import has_stalled
 from jaxtissue.settings import Settings, now, provenance
@@ -109,6 +110,7 @@ def _begin(folder: Path, settings: Settings) -> Run:
     settings = replace(settings, cells=len(initial))
     started = provenance()
     annealer = settings.annealer(settings.sweeps)
+    _say(tell_memory(len(initial), tube, resolution_named(settings.resolution), 8 if settings.x64 else 4))
     _say(f"annealing {len(initial)} cells in {folder}: compiling")
     state = annealer.start(tube.reflect(jnp.asarray(initial)))
     record = annealer.record(state)
