@@ -20,10 +20,13 @@ settings.load_profile("jaxtissue")
 
 
 @pytest.fixture(scope="session", autouse=True)
-def keep_compiled(tmp_path_factory):
+def keep_compiled(tmp_path_factory, worker_id):
     """All tests, and the commands they start, share what one of them compiled: most of their time."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base if worker_id == "master" else base.parent) / "compiled"  # one for all workers
+    folder.mkdir(exist_ok=True)
     options = {
-        "jax_compilation_cache_dir": str(tmp_path_factory.mktemp("compiled")),
+        "jax_compilation_cache_dir": str(folder),
         "jax_persistent_cache_min_compile_time_secs": 0.0,
         "jax_persistent_cache_min_entry_size_bytes": -1,
     }
@@ -33,6 +36,19 @@ def keep_compiled(tmp_path_factory):
             jax.config.update(name, value)
         reset_cache()
         yield
+
+
+@pytest.fixture(scope="module")
+def quick_compile():
+    """Compile without optimization, here and in processes started: few cells for few sweeps.
+
+    What is measured or summed in bulk, in `test_metropolis` and `test_voronoi`, is compiled as users do.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+        jax.config.update("jax_disable_most_optimizations", True)
+        yield
+        jax.config.update("jax_disable_most_optimizations", False)
 
 
 @dataclass(frozen=True)

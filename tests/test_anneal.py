@@ -14,16 +14,10 @@ from jaxtissue.programs import PROGRAMS, run_together
 from jaxtissue.schedules import constant_schedule, geometric_schedule, has_stalled
 from jaxtissue.tube import Tube
 
+pytestmark = pytest.mark.usefixtures("quick_compile")
+
 TUBE = Tube(length=20.0, apical_radius=1.0, basal_radius=3.0)
 CELLS = 60
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick_compile():
-    """Compile without optimization: few cells for few sweeps, so that compiling is most of the time."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 def annealer(

@@ -27,17 +27,11 @@ from jaxtissue.spans import look
 from jaxtissue.tube import Tube
 from jaxtissue.walls import LEVEL
 
+pytestmark = pytest.mark.usefixtures("quick_compile")
+
 TUBE = Tube(length=20.0, apical_radius=1.0, basal_radius=3.0)
 CELLS = 300
 BOUND = float(move_bound(tube_model(TUBE, CELLS), CELLS))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick_compile():
-    """Compile without optimization: each tissue is measured once, and compiling is most of the time."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture(scope="module")

@@ -12,19 +12,13 @@ from jaxtissue.exact import exact_cells
 from jaxtissue.lines import PRESETS, plan_lines
 from jaxtissue.tube import Tube
 
+pytestmark = pytest.mark.usefixtures("quick_compile")
+
 TUBE = Tube(length=10.0, apical_radius=1.0, basal_radius=3.0)
 # rms over cells / mean cell of volume and lateral area, error of the total area; only `standard` has the rest
 BARS = {"draft": (0.015, 0.04, np.inf), "standard": (0.003, 0.015, 0.005), "fine": (0.0005, 0.01, 0.002)}
 SURFACE_BARS = {"apical_area": 0.005, "basal_area": 0.005, "apical_perim": 0.01, "basal_perim": 0.01}
 SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimeter", "basal_perimeter")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick_compile():
-    """Compile without optimization: these tests measure few cells, and compiling is most of the time."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 def off(found, expected) -> float:

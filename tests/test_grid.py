@@ -8,7 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 from test_cli import column, read_table, restore_precision, without_seconds  # noqa: F401
@@ -21,6 +20,8 @@ from jaxtissue.cluster import Part, slurm_part
 from jaxtissue.grids import Grid
 from jaxtissue.settings import Settings
 
+pytestmark = pytest.mark.usefixtures("quick_compile")
+
 VALUES = ["--length", "12", "--basal-radius", "4", "--ratio", "2", "8", "--cells", "24"]
 VALUES += ["--temperature", "0.5", "--seed", "0", "1", "--sweeps", "2"]
 GRID = Grid(
@@ -28,15 +29,6 @@ GRID = Grid(
      "seed": [0, 1]},
     {"sweeps": 2},
 )  # fmt: skip
-QUICK = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick_compile():
-    """Compile without optimization, here and in the processes started: few cells for few sweeps."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 def start(folder: Path, *more: str, devices: int = 1) -> subprocess.Popen:
@@ -44,7 +36,7 @@ def start(folder: Path, *more: str, devices: int = 1) -> subprocess.Popen:
     path = os.pathsep.join([str(Path(jaxtissue.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
     return subprocess.Popen(
         [sys.executable, "-m", "jaxtissue", "sweep", *VALUES, "--out", str(folder), *more],
-        env=os.environ | QUICK | {"PYTHONPATH": path, "JAX_NUM_CPU_DEVICES": str(devices)},
+        env=os.environ | {"PYTHONPATH": path, "JAX_NUM_CPU_DEVICES": str(devices)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -18,15 +17,9 @@ from jaxtissue.sampling import cylindrical_voxels
 from jaxtissue.tube import Tube
 from jaxtissue.voronoi import label_volumes, nearest_backbones
 
+pytestmark = pytest.mark.usefixtures("quick_compile")
+
 TINY = replace(QUICK, cells=12, length=6.0, sweeps=2, kept=(1, 2))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick_compile():
-    """Compile without optimization: little is computed, so that compiling is most of the time."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 def made_up(annealing, seeds):
