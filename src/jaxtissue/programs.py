@@ -137,6 +137,8 @@ def _lifted(function: Callable[..., Any], mesh: Mesh) -> Callable[..., Any]:
     A CPU takes its replicas one after another, and skips those that are not active; others take all at once.
     """
 
+    function = jax.jit(function, inline=True)  # traced once, though asked for twice
+
     def one(call: tuple) -> Any:
         # a branch is compiled by itself: whatever is around it, the result is the same to the bit
         empty = jax.tree.map(
