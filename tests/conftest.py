@@ -10,6 +10,7 @@ import pytest
 from hypothesis import settings
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
+from jaxtissue.programs import PROGRAMS
 from jaxtissue.tube import Tube
 
 DATA = Path(__file__).parent / "data"
@@ -42,12 +43,15 @@ def keep_compiled(tmp_path_factory, worker_id):
 def quick_compile():
     """Compile without optimization, here and in processes started: few cells for few sweeps.
 
-    What is measured or summed in bulk, in `test_metropolis` and `test_voronoi`, is compiled as users do.
+    What is measured or summed in bulk, in `test_metropolis` and `test_voronoi`, is compiled as users do, so no
+    program is left to other modules.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
         jax.config.update("jax_disable_most_optimizations", True)
+        PROGRAMS.clear()
         yield
+        PROGRAMS.clear()
         jax.config.update("jax_disable_most_optimizations", False)
 
 

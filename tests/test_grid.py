@@ -51,7 +51,7 @@ def finish(*running: subprocess.Popen) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory) -> Path:
+def whole(quick_compile, tmp_path_factory) -> Path:
     """The folder of a grid that ran through in one process."""
     folder = tmp_path_factory.mktemp("grids") / "whole"
     assert main(["sweep", *VALUES, "--out", str(folder)]) == 0
@@ -144,8 +144,8 @@ def test_only_what_is_missing_is_done(whole, tmp_path, monkeypatch, capsys) -> N
     assert done[4:] == [(0.5, 0)] and same_grid(folder, whole)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_keeps_the_rows_that_are_done(whole, tmp_path, monkeypatch, capsys, number) -> None:
+def test_a_signal_keeps_the_rows_that_are_done(whole, tmp_path, monkeypatch, capsys) -> None:
+    number = signal.SIGTERM
     folder, advance, calls = tmp_path / "stopped", batches.advance_together, []
 
     def interrupted(*arguments):

@@ -12,6 +12,8 @@ from jaxtissue.lines import PRESETS
 from jaxtissue.programs import PROGRAMS, Request, ask, run_together
 from jaxtissue.tube import Tube
 
+pytestmark = pytest.mark.usefixtures("quick_compile")
+
 CELLS = 24
 SWEEPS = 4
 SLOTS = 4
@@ -47,16 +49,8 @@ def play(kinds: list, slots: int = 0) -> list:
     return [(known, state.sweep, state.widths) for known, state in zip(told, states, strict=True)]
 
 
-@pytest.fixture
-def quick_compile():
-    """Compile without optimization, what is not compiled yet."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 @pytest.fixture(scope="module")
-def together() -> tuple[list, int]:
+def together(quick_compile) -> tuple[list, int]:
     """What four different replicas tell that run together, and how many programs were compiled for it."""
     before = len(PROGRAMS)
     told = play(KINDS, SLOTS)
@@ -78,7 +72,7 @@ def test_other_values_and_fewer_replicas_need_no_program_of_their_own(together) 
 
 
 @pytest.mark.parametrize("again", ["replayed", "in halves"])
-def test_a_replay_leaves_the_others_alone(again: str, quick_compile, monkeypatch) -> None:
+def test_a_replay_leaves_the_others_alone(again: str, monkeypatch) -> None:
     plays, usual = [], Annealer._play_on
 
     def noted(run, *arguments):
