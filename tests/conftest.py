@@ -43,8 +43,8 @@ def keep_compiled(tmp_path_factory, worker_id):
 def quick_compile():
     """Compile without optimization, here and in processes started: few cells for few sweeps.
 
-    What is measured or summed in bulk, in `test_metropolis` and `test_voronoi`, is compiled as users do, so no
-    program is left to other modules.
+    What is measured or summed in bulk, in `test_metropolis` and `test_voronoi`, is compiled as users do, so
+    no program is left to other modules.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
