@@ -122,15 +122,14 @@ def pack(
 ) -> Int[Array, "size"]:
     """The flat places of those chosen, the early ones first.
 
-    Ranks are products with triangles of ones: a third of the time of sorting.
+    Ranks within a row are a product with a triangle of ones: a third of the time of sorting.
     """
-    columns, rows = jnp.triu(jnp.ones(2 * (chosen.shape[1],))), jnp.tril(jnp.ones(2 * (len(chosen),)), -1)
-    exact = jax.lax.Precision.HIGHEST
+    columns, exact = jnp.triu(jnp.ones(2 * (chosen.shape[1],))), jax.lax.Precision.HIGHEST
 
     def ranks(some: Array) -> tuple[Array, Array]:
         within = jnp.matmul(some.astype(columns.dtype), columns, precision=exact)
-        before = jnp.matmul(rows, within[:, -1], precision=exact)
-        return before[:, None] + within - 1, before[-1] + within[-1, -1]
+        upto = jnp.cumsum(within[:, -1])  # not a product: that would be quadratic in the cells
+        return (upto - within[:, -1])[:, None] + within - 1, upto[-1]
 
     rank, count = ranks(chosen & early)
     late, _ = ranks(chosen & ~early)
