@@ -69,7 +69,7 @@ def integrate(wall: Walls, step: Array, tube: Tube, lines: Lines, truth: Array) 
 
     Sums are products with the weights of the lines: as reductions they would run one number at a time.
     """
-    radius, weight = (table.astype(step.dtype)[lines.layer] for table in lines.radii(tube))
+    radius, weight = (jnp.asarray(table, step.dtype)[lines.layer] for table in (lines.radius, lines.weight))
 
     def summed(rows: slice, weights: Array, tilt: Array) -> tuple[Array, Array]:
         part = jax.tree.map(lambda table: table[rows], wall)

@@ -110,7 +110,7 @@ def posts(positions: Float[Array | np.ndarray, "... 2"]) -> Posts:
 
 def see_lines(lines: Lines, tube: Tube, dtype: np.dtype) -> Grid:
     """The lines round each backbone, [lines, 1], in the middle window."""
-    return see_angles(lines.radii(tube)[0].astype(dtype)[lines.layer][:, None], lines.offset(dtype)[:, None])
+    return see_angles(jnp.asarray(lines.radius, dtype)[lines.layer][:, None], lines.offset(dtype)[:, None])
 
 
 def see_window(lines: Lines, tube: Tube, dtype: np.dtype, shift: Int[Array, "cells"], truth: Array) -> Grid:
