@@ -113,18 +113,19 @@ def test_subsets_and_replicas_measure_as_the_whole_alone() -> None:
     positions = jnp.stack([random_positions(12, seed=seed) for seed in range(3)])
     tubes = Tube(jnp.full(3, 10.0), jnp.array([1.0, 0.5, 2.5]), jnp.array([3.0, 3.0, 4.0]))
     everyone = jnp.broadcast_to(jnp.arange(12), (12, 2, 12))
-    lines = plan_lines(TUBE, 12, PRESETS["draft"])
+    each = [jax.tree.map(lambda size, k=k: float(size[k]), tubes) for k in range(3)]
+    planned = [plan_lines(tube, 12, PRESETS["draft"]) for tube in each]
+    lines = jax.tree.map(lambda *leaves: jnp.stack(list(map(jnp.asarray, leaves))), *planned)
 
-    def measure(positions, tube, cells):
+    def measure(positions, tube, lines, cells):
         found, _ = measure_cells(positions, tube, lines, everyone, cells)
         return jnp.stack([found.volume, found.lateral_area])
 
     some = jnp.array([7, 2, 2, 11])
     measure_some = jax.jit(measure)
-    together = jax.jit(jax.vmap(measure, (0, 0, None)))(positions, tubes, jnp.arange(12))
-    for k in range(3):
-        tube = jax.tree.map(lambda size, k=k: size[k], tubes)
-        alone = measure_some(positions[k], tube, some)
+    together = jax.jit(jax.vmap(measure, (0, 0, 0, None)))(positions, tubes, lines, jnp.arange(12))
+    for k, tube in enumerate(each):
+        alone = measure_some(positions[k], tube, planned[k], some)
         # fused differently: a few float32 roundings of reaches up to the tube's length
         np.testing.assert_allclose(alone, together[k][:, some], rtol=1e-4)
         assert float(together[k][0].sum()) == pytest.approx(float(tube.volume), rel=0.005)  # a draft's total

@@ -11,16 +11,17 @@ from jaxtyping import Array, Float, Int
 
 from jaxtissue.candidates import find_candidates, padded
 from jaxtissue.cells import CellGeometry
-from jaxtissue.changes import Neighborhoods, tissue_state
+from jaxtissue.changes import Neighborhoods, TissueState, tissue_state
 from jaxtissue.coloring import CONFLICTS
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.metropolis import move_bound
-from jaxtissue.programs import Request, Task, run_together
-from jaxtissue.records import Measured, SweepRecord, shortlisted, sweep_record
-from jaxtissue.rounds import independent_rounds, one_by_one, padded_orders
+from jaxtissue.programs import Ahead, Request, Task, run_together
+from jaxtissue.records import Measured, SweepRecord, least_around, shortlisted, sweep_record
+from jaxtissue.rounds import independent_rounds, one_by_one, padded_orders, round_width
 from jaxtissue.shortlists import find_unlisted, list_first
 from jaxtissue.spans import Trail, energy_terms, fit_play, look, play
+from jaxtissue.walls import Posts
 
 ALGORITHMS = ("is-mh", "mh")
 SPAN = 5  # the most sweeps between renewals of lists and rounds
@@ -193,6 +194,8 @@ class Annealer:
         """Measure the whole tissue on complete lists; the last result is kept."""
         if self._last and self._last[0].positions is state.positions:
             return self._last[1]
+        if self._last is None and state.sweep < len(self.temperatures):
+            yield self._expect_play(state)
         sides = self._find(jnp.asarray(state.positions), state.widths[0])
         n = len(state.positions)
         lines = self._plan(n), plan_lines(self.model.tube, n, SPARSE)
@@ -200,6 +203,18 @@ class Annealer:
         seen, clear = yield from self._ask(Request(look, (state.positions, self.model, lines, sides)))
         self._last = state, Measured(seen, sides, clear)
         return self._last[1]
+
+    def _expect_play(self, state: AnnealState) -> Ahead:
+        """What `play` will be asked for, with lists and rounds as wide as they are likely to be."""
+        n, dtype = len(state.positions), state.positions.dtype
+        blank, lines = np.zeros(n, dtype), self._plan(n)
+        place = Posts(*4 * [blank])
+        tissue = TissueState(place, blank, blank, np.zeros((n, 2, len(lines.number)), dtype), blank > 0)
+        width = max(least_around(n), state.widths[1])
+        near = Neighborhoods(np.zeros((n, width), np.int32), np.zeros((n, 2, CANDIDATES), np.int32))
+        rounds = np.zeros((n, 1) if self.algorithm == "mh" else (1, round_width(n)), np.int32)
+        orders, temperatures = padded_orders([rounds], SPAN, near), np.zeros(SPAN, dtype)
+        return Ahead(play, (np.uint32(0), np.int32(0), tissue, self.model, temperatures, near, orders, lines))
 
     def _find(self, place: Float[Array, "n 2"], width: int) -> Int[np.ndarray, "n 2 candidates"]:
         """Complete candidate lists, at least of a width."""

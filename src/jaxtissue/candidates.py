@@ -50,8 +50,10 @@ def find_candidates(
     """
     count = NEAREST
     while True:
-        sides = sided(nearest(positions, tube, count), positions, tube, margin)
-        if count >= len(positions) - 1 or tiling_defect(positions, tube, sides) < TILES:
+        lists = nearest(positions, tube, count)
+        # cells at the ends have them all on one side, and would double the width of the lists
+        sides = sided(lists, positions, tube, margin, most=count // 2)
+        if count // 2 >= len(positions) - 1 or tiling_defect(positions, tube, sides) < TILES:
             return sides
         count *= 2
 
@@ -59,7 +61,7 @@ def find_candidates(
 def nearest(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube, count: int
 ) -> Int[np.ndarray, "n count"]:
-    """The `count` backbones nearest to each by `spacing`, among those next to it along the axis."""
+    """The `count` backbones nearest to each by `spacing`, among those next to it along the axis, in order."""
     place, n = np.asarray(positions, float), len(positions)
     count = min(count, n - 1)
     density, radii = n / float(tube.length), (float(tube.apical_radius), float(tube.basal_radius))
@@ -89,21 +91,20 @@ def nearest(
 
 
 def least(scores: Float[np.ndarray, "... columns"], count: int) -> Int[np.ndarray, "... count"]:
-    """Columns of the `count` lowest scores of each row, to single precision; of equal ones the first.
+    """Columns of the `count` lowest scores of each row in order, to single precision; of equals the first.
 
     Score and column are coded as one integer, since a partition of those is fast, and says which of equals.
 
     >>> least(np.array([[3.0, -1.0, np.inf, -2.0, 3.0]]), 3)
     array([[3, 1, 0]])
     """
-    if scores.shape[-1] <= count:
-        return np.broadcast_to(np.arange(scores.shape[-1]), scores.shape)
+    count = min(count, scores.shape[-1])
     bits = np.asarray(scores, np.float32).view(np.int32).astype(np.int64)
     bits = np.where(bits < 0, -(bits & 0x7FFFFFFF), bits)  # as integers in the order of the floats
     shift = (scores.shape[-1] - 1).bit_length()
     coded = (bits << shift) | np.arange(scores.shape[-1])
     coded.partition(max(count - 1, 0), axis=-1)
-    return coded[..., :count] & ((1 << shift) - 1)
+    return np.sort(coded[..., :count], axis=-1) & ((1 << shift) - 1)
 
 
 def spacing(place: np.ndarray, first: np.ndarray, second: np.ndarray, tube: Tube) -> np.ndarray:
@@ -158,8 +159,12 @@ def sided(
     positions: Float[Array | np.ndarray, "n 2"],
     tube: Tube,
     margin: float = 0.0,
+    most: int | None = None,
 ) -> Int[np.ndarray, "n 2 side_candidates"]:
-    """Candidates split into those behind and those ahead along the axis; within `margin`, both."""
+    """Candidates split into those behind and those ahead along the axis; within `margin`, both.
+
+    Of each side the first `most`.
+    """
     axial, own = np.asarray(positions, float)[:, 0], np.arange(len(lists), dtype=np.int32)[:, None]
     gap = np.where(lists == own, np.nan, axial[lists] - axial[:, None])
     margin = max(margin, 2 * LEVEL * float(tube.apical_radius))
@@ -167,12 +172,13 @@ def sided(
     taken = [np.flatnonzero(sign * gap >= -margin) for sign in (-1, 1)]
     rows = [at // lists.shape[1] for at in taken]
     counts = [np.bincount(row, minlength=len(lists)) for row in rows]
-    width = max(1, *(int(count.max(initial=0)) for count in counts))
+    width = min(max(1, *(int(count.max(initial=0)) for count in counts)), most or lists.shape[1])
     width = -(-width // 24) * 24  # few shapes, so few compilations
     sides = np.repeat(own, 2 * width, axis=1).reshape(-1, 2, width)
     for side, (at, row, count) in enumerate(zip(taken, rows, counts, strict=True)):
         place = np.arange(len(at)) - np.repeat(np.cumsum(count) - count, count)
-        sides[row, side, place] = lists.reshape(-1)[at]
+        kept = place < width
+        sides[row[kept], side, place[kept]] = lists.reshape(-1)[at[kept]]
     return sides
 
 

@@ -7,6 +7,7 @@ needs something compiled. Tasks go on turn by turn, and requests of one turn tha
 import functools
 import time
 from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -17,7 +18,8 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 T = TypeVar("T")
 AXIS = "replicas"
 IN_TURN = ("cpu",)  # platforms whose devices take their replicas one after another, not all at once
-PROGRAMS: dict[Any, Callable] = {}  # compiled, for all who are alike in shapes
+PROGRAMS: dict[Any, Callable | Future] = {}  # compiled, or being so, for all who are alike in shapes
+BESIDE = ThreadPoolExecutor(1, "compile")  # compiles what will be needed, beside what is done meanwhile
 
 
 class Request(NamedTuple):
@@ -33,6 +35,13 @@ class Request(NamedTuple):
     fit: Callable[[tuple, tuple[int, ...]], tuple] | None = None
 
 
+class Ahead(NamedTuple):
+    """What will most likely be asked for: it is compiled beside what the task does meanwhile."""
+
+    function: Callable[..., Any]
+    arguments: tuple
+
+
 class Answer(NamedTuple):
     """What a request gave, as NumPy arrays, and the seconds that compiling took of it."""
 
@@ -40,7 +49,7 @@ class Answer(NamedTuple):
     compile_seconds: float
 
 
-Task = Generator[Request, Answer, T]
+Task = Generator[Request | Ahead, Answer, T]
 
 
 def run_together(tasks: Sequence[Task[T]], slots: int = 0) -> list[T]:
@@ -61,7 +70,11 @@ def run_together(tasks: Sequence[Task[T]], slots: int = 0) -> list[T]:
         asked: dict[int, Request] = {}
         for number, answer in answers.items():
             try:
-                asked[number] = tasks[number].send(answer)
+                step = tasks[number].send(answer)
+                while isinstance(step, Ahead):
+                    _compile_ahead(step, slots, devices)
+                    step = tasks[number].send(None)
+                asked[number] = step
             except StopIteration as end:
                 ends[number] = end.value
         for function, *sizes in {(request.function, *request.sizes) for request in asked.values()}:
@@ -116,12 +129,39 @@ def _run_alike(function: Callable, calls: Sequence[tuple], slots: int, devices: 
     mesh = _mesh(devices)
     batch = jax.device_put((active, jax.tree.map(stacked, *calls)), NamedSharding(mesh, PartitionSpec(AXIS)))
     known, compiling = (function, _shapes(batch), mesh), 0.0
-    if known not in PROGRAMS:
+    program = PROGRAMS.get(known)
+    if program is None or isinstance(program, Future):
         begin = time.perf_counter()
-        PROGRAMS[known] = jax.jit(_lifted(function, mesh)).lower(*batch).compile()
+        program = program.result() if program else _compile(function, mesh, batch)
+        PROGRAMS[known] = program
         compiling = time.perf_counter() - begin
-    results = jax.tree.map(np.asarray, PROGRAMS[known](*batch))
+    results = jax.tree.map(np.asarray, program(*batch))
     return [Answer(jax.tree.map(lambda leaf, at=at: leaf[at], results), compiling) for at in place]
+
+
+def _compile(function: Callable, mesh: Mesh, batch: tuple) -> Callable:
+    """The program for arguments of these shapes."""
+    return jax.jit(_lifted(function, mesh)).lower(*batch).compile()
+
+
+def _compile_ahead(step: Ahead, slots: int, devices: int) -> None:
+    """Begin to compile a function for arguments like these, unless that was begun before."""
+    mesh = _mesh(devices)
+    sharding = NamedSharding(mesh, PartitionSpec(AXIS))
+
+    def shape(leaf: np.ndarray) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct((slots, *leaf.shape), leaf.dtype, sharding=sharding)
+
+    arguments = jax.tree.map(shape, _fitted(Request(*step), ()))
+    batch = jax.ShapeDtypeStruct((slots,), np.dtype(bool), sharding=sharding), arguments
+    known, wide = (step.function, _shapes(batch), mesh), jax.config.jax_enable_x64
+
+    def work() -> Callable:
+        with jax.enable_x64(wide):  # a thread has a setting of its own
+            return _compile(step.function, mesh, batch)
+
+    if known not in PROGRAMS:
+        PROGRAMS[known] = BESIDE.submit(work)
 
 
 @functools.cache

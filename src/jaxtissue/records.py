@@ -12,6 +12,8 @@ from jaxtissue.changes import Neighborhoods
 from jaxtissue.metropolis import SweepInfo
 from jaxtissue.shortlists import TOUCHES, around, mutual, nearest_sides
 
+AROUND = 64  # who may be around a cell: room enough for most tissues
+
 
 class Measured(NamedTuple):
     """A state measured: its cells, and what was seen on the way."""
@@ -74,6 +76,11 @@ def sweep_record(
     )
 
 
+def least_around(cells: int) -> int:
+    """Room for those around each cell that is enough for most tissues, so that it seldom has to grow."""
+    return min(AROUND, -(-cells // 16) * 16)
+
+
 def shortlisted(
     sides: Int[np.ndarray, "n 2 candidates"],
     clear: Float[np.ndarray, "n 2 candidates"],
@@ -85,7 +92,7 @@ def shortlisted(
     With room to grow, where that is not enough. A pair is ranked by the nearer of its two clearances, if that
     is less than `within`.
     """
-    count, width = sizes
+    count, width = sizes[0], max(sizes[1], least_around(len(sides)))
     few = nearest_sides(sides, mutual(sides, clear, within), min(count, sides.shape[2]))
     lists = around(few)
     if lists.shape[1] > width:

@@ -41,7 +41,12 @@ def independent_rounds(
         graph = hop_conflicts(contacts(float(move_bound(model, n))), 2)
     else:
         graph = hop_conflicts(contacts(0.0), int(rule[0]))
-    return color(graph, max(1, round(n / ROUNDS)), np.argsort(positions[:, 0], kind="stable"))
+    return color(graph, round_width(n), np.argsort(positions[:, 0], kind="stable"))
+
+
+def round_width(cells: int) -> int:
+    """The most moves of a round."""
+    return max(1, round(cells / ROUNDS))
 
 
 def padded_orders(plan: Sequence[Int[np.ndarray, "rounds width"]], sweeps: int, near: Neighborhoods) -> Order:

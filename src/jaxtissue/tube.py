@@ -1,5 +1,6 @@
 """The tube: tissue between two nested cylinders around the x axis (paper, Definition 3)."""
 
+import functools
 import math
 
 import equinox as eqx
@@ -98,9 +99,14 @@ class Tube(eqx.Module):
         """
         if count < 1:
             raise ValueError(f"count={count} backbones fill no tissue; give at least 1")
-        dtype = jnp.result_type(self.length, self.apical_radius, self.basal_radius, 0.0)
-        axial, angle = jax.random.uniform(key, (2, count), dtype)
-        return self.reflect(jnp.stack([self.length * axial, 2 * math.pi * angle], axis=-1))
+        return _random_positions(self, key, count)
+
+
+@functools.partial(jax.jit, static_argnames="count")
+def _random_positions(tube: Tube, key: PRNGKeyArray, count: int) -> Float[Array, "n 2"]:
+    dtype = jnp.result_type(tube.length, tube.apical_radius, tube.basal_radius, 0.0)
+    axial, angle = jax.random.uniform(key, (2, count), dtype)
+    return tube.reflect(jnp.stack([tube.length * axial, 2 * math.pi * angle], axis=-1))
 
 
 def cells_for_unit_volume(tube: Tube) -> int:
