@@ -9,10 +9,12 @@ import pytest
 from matplotlib.figure import Figure
 
 from jaxtissue.cli import main
-from jaxtissue.reproduction import experiments, reproduce
+from jaxtissue.reproduction import experiments, reproduce, tissues
 from jaxtissue.reproduction.experiments import QUICK, Plan, Store, measure_runs, measure_volumes
 from jaxtissue.reproduction.items import ITEMS, Product
+from jaxtissue.reproduction.ratios import measure_ratios
 from jaxtissue.reproduction.tissues import Annealing, History, anneal_history, random_tissue, relax_lloyd
+from jaxtissue.reproduction.workers import Workers
 from jaxtissue.sampling import cylindrical_voxels
 from jaxtissue.tube import Tube
 from jaxtissue.voronoi import label_volumes, nearest_backbones
@@ -191,3 +193,30 @@ def test_lloyd_makes_volumes_alike_however_the_tube_is_turned():
     turned = relax_lloyd(start + turn, tube, 2) - turn - relaxed[1]
     turned[:, 1] = (turned[:, 1] + np.pi) % (2 * np.pi) - np.pi
     assert np.abs(turned).max() < 0.25  # voxels are not turned along; they are 0.26 wide
+
+
+def test_two_processes_give_what_one_gives_to_the_bit(store, tmp_path):
+    tube, plan = Tube(12, 3, 8), replace(TINY, ratios=(2.0,))
+    calls = [(np.asarray(random_tissue(tube, 40, seed)), tube, 2) for seed in (0, 1)]
+    alone = dict(Workers().run(relax_lloyd, calls))
+    with Workers(2) as workers:
+        told = dict(workers.run(relax_lloyd, calls))
+        shared = Store(tmp_path / "shared", lambda _: None, workers=workers)
+        tables = [measure_ratios(plan, one) for one in (shared, store, shared)]
+        with pytest.raises(ValueError, match="radius"):
+            dict(workers.run(Tube, [(1.0, 1.0, 2.0), (1.0, 3.0, 2.0)]))
+    assert all(np.array_equal(told[seed], alone[seed]) for seed in (0, 1))
+    for name, column in tables[0].items():
+        assert all(np.array_equal(column, table[name], equal_nan=name != "kind") for table in tables[1:]), (
+            name
+        )
+
+
+def test_lloyds_lists_are_as_long_as_they_must_be(monkeypatch):
+    tube = Tube(12, 3, 8)
+    start = np.asarray(random_tissue(tube, 40, 1))
+    relaxed = []
+    for listed in (40, 2):
+        monkeypatch.setattr(tissues, "LISTED", listed)
+        relaxed.append(relax_lloyd(start, tube, 3))
+    assert np.array_equal(*relaxed)
