@@ -27,9 +27,14 @@ def measure_ratios(plan: Plan, store: Store) -> Table:
     missing = [key for key in keys if found[key] is None]
     annealed = [(ratio, seed) for ratio, kind, seed in missing if kind == "annealed"]
     runs = store.anneal([(plan.annealing(ratio), seed) for ratio, seed in annealed])
-    places = {key: run.positions[-1] for key, run in zip(annealed, runs, strict=True)}
-    calls = {_row_name(plan, *key): (plan, *key, places.get((key[0], key[2]))) for key in missing}
-    rows = store.rows(_connect, calls)
+    places = {
+        (ratio, "annealed", seed): run.positions[-1]
+        for (ratio, seed), run in zip(annealed, runs, strict=True)
+    }
+    for ratio, kind, seed in missing:
+        if kind != "annealed":
+            places[ratio, kind, seed] = np.asarray(random_tissue(plan.tube(ratio), plan.cells, seed))
+    rows = store.rows(_connect, {_row_name(plan, *key): (plan, *key, places[key]) for key in missing})
     return tabulate([found[key] or rows[_row_name(plan, *key)] for key in keys])
 
 
@@ -38,14 +43,10 @@ def _row_name(plan: Plan, ratio: float, kind: str, seed: int) -> str:
     return name + (f"_sweeps{plan.sweeps}" if kind == "annealed" else "")
 
 
-def _connect(plan: Plan, ratio: float, kind: str, seed: int, annealed: np.ndarray | None) -> dict[str, Any]:
-    """The row of a tissue; annealed tissue is given."""
+def _connect(plan: Plan, ratio: float, kind: str, seed: int, place: np.ndarray) -> dict[str, Any]:
+    """The row of a tissue, whose relaxation by Lloyd's method is left to do."""
     tube = plan.tube(ratio)
-    place = np.asarray(random_tissue(tube, plan.cells, seed))
-    if kind == "lloyd":
-        place = relax_lloyd(place, tube)
-    elif annealed is not None and kind == "annealed":
-        place = annealed
+    place = relax_lloyd(place, tube) if kind == "lloyd" else place
     cells, _ = measure_tissue(jnp.asarray(place), tube)
     energy = tube_model(tube, plan.cells).cell_energy(cells, tube_model(tube, plan.cells))
     found = find_connectivity(place, tube)
