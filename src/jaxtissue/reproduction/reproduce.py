@@ -93,6 +93,7 @@ def _open(folder: Path, plan: Plan, force: bool) -> dict[str, Any]:
             found = f"{folder} holds a {kind} run with {other} = {planned.get(other)}, not {arguments[other]}"
             raise ValueError(f"{found}; choose another or add --force")
     io.make_folder(folder)
+    io.write_json(path, manifest)  # whoever is stopped at the first item finds the folder theirs
     return manifest
 
 
