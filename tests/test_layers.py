@@ -12,9 +12,9 @@ TISSUE += ["candidates", "shortlists", "exact"]
 CONTACTS = ["leads", "fronts", "edges", "contacts", "transitions", "statistics", "laws"]
 MOVES = ["energy", "coloring", "changes", "metropolis", "spans", "rounds", "records", "programs"]
 MOVES += ["schedules", "anneal", "memory"]
-REPRODUCTION = ["tissues", "experiments", "timings", "published", "figures", "ratio_figures", "shapes"]
-REPRODUCTION += ["pictures", "tube_pictures", "claims", "run_claims", "ratio_claims", "items", "report"]
-REPRODUCTION += ["reproduce"]
+REPRODUCTION = ["workers", "tissues", "experiments", "ratios", "timings", "published", "figures"]
+REPRODUCTION += ["ratio_figures", "shapes", "pictures", "tube_pictures", "claims", "run_claims"]
+REPRODUCTION += ["ratio_claims", "items", "report", "reproduce"]
 PEOPLE = [
     "io",
     "plot",

@@ -9,10 +9,12 @@ import pytest
 from matplotlib.figure import Figure
 
 from jaxtissue.cli import main
-from jaxtissue.reproduction import experiments, reproduce
+from jaxtissue.reproduction import experiments, reproduce, tissues
 from jaxtissue.reproduction.experiments import QUICK, Plan, Store, measure_runs, measure_volumes
 from jaxtissue.reproduction.items import ITEMS, Product
-from jaxtissue.reproduction.tissues import Annealing, History, anneal_histories, random_tissue, relax_lloyd
+from jaxtissue.reproduction.ratios import measure_ratios
+from jaxtissue.reproduction.tissues import Annealing, History, anneal_history, random_tissue, relax_lloyd
+from jaxtissue.reproduction.workers import Workers
 from jaxtissue.sampling import cylindrical_voxels
 from jaxtissue.tube import Tube
 from jaxtissue.voronoi import label_volumes, nearest_backbones
@@ -22,12 +24,12 @@ pytestmark = pytest.mark.usefixtures("quick_compile")
 TINY = replace(QUICK, cells=12, length=6.0, sweeps=2, kept=(1, 2))
 
 
-def made_up(annealing, seeds):
-    """Histories without annealing."""
+def made_up(annealing, seed):
+    """A history without annealing."""
     sweeps = annealing.sweeps + 1
     records = {name: np.arange(sweeps, dtype=float) for name in ("sweep", "energy", "rounds", "seconds")}
-    place = [np.asarray(random_tissue(annealing.tube, annealing.cells, seed)) for seed in seeds]
-    return [History(records, np.tile(one, (sweeps, 1, 1))) for one in place]
+    place = np.asarray(random_tissue(annealing.tube, annealing.cells, seed))
+    return History(records, np.tile(place, (sweeps, 1, 1)))
 
 
 @pytest.fixture
@@ -90,11 +92,14 @@ def test_what_was_finished_before_a_stop_is_kept(tmp_path, monkeypatch):
         return Product({"": {"x": np.zeros(2)}}, Figure())
 
     monkeypatch.setattr(reproduce, "ITEMS", {"fig7": made, "fig8": stopped})
-    with pytest.raises(KeyboardInterrupt):
-        reproduce.reproduce(tmp_path / "out", ["fig7", "fig8"], QUICK)
-    with pytest.raises(KeyboardInterrupt):
-        reproduce.reproduce(tmp_path / "out", ["fig7", "fig8"], QUICK)
-    assert calls == ["made", "stopped", "stopped"] and "Fig. 7" in (tmp_path / "out/report.md").read_text()
+    for items in (["fig8"], ["fig7", "fig8"], ["fig7", "fig8"]):
+        with pytest.raises(KeyboardInterrupt):
+            reproduce.reproduce(tmp_path / "out", items, QUICK)
+        (tmp_path / "out/data").mkdir(exist_ok=True)  # as an item that is stopped leaves it
+    assert (
+        calls == ["stopped", "made", "stopped", "stopped"]
+        and "Fig. 7" in (tmp_path / "out/report.md").read_text()
+    )
 
 
 def test_rows_are_computed_once_unless_all_is_to_be_fresh(store):
@@ -108,13 +113,11 @@ def test_rows_are_computed_once_unless_all_is_to_be_fresh(store):
 
 def test_only_missing_seeds_are_annealed(store, monkeypatch):
     asked = []
-    monkeypatch.setattr(
-        experiments, "anneal_histories", lambda a, seeds: asked.append(list(seeds)) or made_up(a, seeds)
-    )
+    monkeypatch.setattr(experiments, "anneal_history", lambda a, seed: asked.append(seed) or made_up(a, seed))
     annealing = TINY.annealing(5.0)
     first = store.histories(annealing, [0, 2])
     both = store.histories(annealing, range(3))
-    assert asked == [[0, 2], [1]] and np.array_equal(first[1].positions, both[2].positions)
+    assert asked == [0, 2, 1] and np.array_equal(first[1].positions, both[2].positions)
     path = next(store.folder.glob("*.npz"))
     path.write_bytes(b"not one")
     with pytest.raises(ValueError, match="damaged"):
@@ -123,14 +126,12 @@ def test_only_missing_seeds_are_annealed(store, monkeypatch):
 
 def test_what_another_version_kept_is_computed_anew(store, monkeypatch, tmp_path, capsys):
     asked = []
-    monkeypatch.setattr(
-        experiments, "anneal_histories", lambda a, seeds: asked.append(list(seeds)) or made_up(a, seeds)
-    )
+    monkeypatch.setattr(experiments, "anneal_history", lambda a, seed: asked.append(seed) or made_up(a, seed))
     annealing = TINY.annealing(5.0)
     store.histories(annealing, [0]), store.row("one", lambda: {"value": 1})
     monkeypatch.setattr(experiments, "FORMAT", experiments.FORMAT + 1)
     store.histories(annealing, [0, 1]), store.histories(annealing, [0])
-    assert asked == [[0], [0, 1]] and store.row("one", lambda: {"value": 2})["value"] == 2
+    assert asked == [0, 0, 1] and store.row("one", lambda: {"value": 2})["value"] == 2
     (store.folder / "one.json").write_text('{"value": 3}')  # as before there were versions
     assert store.row("one", lambda: {"value": 4})["value"] == 4
     (store.folder / "one.json").write_text("{")
@@ -160,7 +161,7 @@ def test_names_of_histories_tell_apart_all_that_differs():
 
 
 def test_tables_of_runs_and_volumes(store, monkeypatch):
-    monkeypatch.setattr(experiments, "anneal_histories", made_up)
+    monkeypatch.setattr(experiments, "anneal_history", made_up)
     monkeypatch.setattr(experiments, "covering_radius", lambda place, tube: 6.0)
     monkeypatch.setattr(experiments, "separation", lambda place, tube: 0.5)
     runs = measure_runs(TINY, store)
@@ -174,7 +175,7 @@ def test_tables_of_runs_and_volumes(store, monkeypatch):
 
 def test_histories_start_from_the_random_tissue_of_their_seed():
     annealing = Annealing(Tube(15, 1, 10), 60, 1)  # of the shapes of other tests, compiled once
-    (history,) = anneal_histories(annealing, [5])
+    history = anneal_history(annealing, 5)
     assert history.positions.shape == (2, 60, 2) and list(history.records["sweep"]) == [0, 1]
     start = np.asarray(random_tissue(annealing.tube, 60, 5))
     assert np.array_equal(history.positions[0], start) and not np.array_equal(history.positions[1], start)
@@ -195,3 +196,30 @@ def test_lloyd_makes_volumes_alike_however_the_tube_is_turned():
     turned = relax_lloyd(start + turn, tube, 2) - turn - relaxed[1]
     turned[:, 1] = (turned[:, 1] + np.pi) % (2 * np.pi) - np.pi
     assert np.abs(turned).max() < 0.25  # voxels are not turned along; they are 0.26 wide
+
+
+def test_two_processes_give_what_one_gives_to_the_bit(store, tmp_path):
+    tube, plan = Tube(12, 3, 8), replace(TINY, ratios=(2.0,))
+    calls = [(np.asarray(random_tissue(tube, 40, seed)), tube, 2) for seed in (0, 1)]
+    alone = dict(Workers().run(relax_lloyd, calls))
+    with Workers(2) as workers:
+        told = dict(workers.run(relax_lloyd, calls))
+        shared = Store(tmp_path / "shared", lambda _: None, workers=workers)
+        tables = [measure_ratios(plan, one) for one in (shared, store, shared)]
+        with pytest.raises(ValueError, match="radius"):
+            dict(workers.run(Tube, [(1.0, 1.0, 2.0), (1.0, 3.0, 2.0)]))
+    assert all(np.array_equal(told[seed], alone[seed]) for seed in (0, 1))
+    for name, column in tables[0].items():
+        assert all(np.array_equal(column, table[name], equal_nan=name != "kind") for table in tables[1:]), (
+            name
+        )
+
+
+def test_lloyds_lists_are_as_long_as_they_must_be(monkeypatch):
+    tube = Tube(12, 3, 8)
+    start = np.asarray(random_tissue(tube, 40, 1))
+    relaxed = []
+    for listed in (40, 2):
+        monkeypatch.setattr(tissues, "LISTED", listed)
+        relaxed.append(relax_lloyd(start, tube, 3))
+    assert np.array_equal(*relaxed)

@@ -18,6 +18,7 @@ from jaxtissue.grid_runs import check_grid_folder, run_grid
 from jaxtissue.grids import AXES, Grid
 from jaxtissue.lines import resolution_named
 from jaxtissue.reproduction.reproduce import choose_items, make_plan, reproduce
+from jaxtissue.reproduction.workers import Workers, free_cores
 from jaxtissue.runs import resume_annealing, run_annealing
 from jaxtissue.settings import Settings, provenance, saved_settings, versions
 from jaxtissue.statistics import find_connectivity
@@ -155,7 +156,8 @@ def reproduce_paper(arguments: dict[str, Any]) -> int:
     items = choose_items(arguments["items"])
     _use_x64(arguments["x64"])
     plan = make_plan(arguments["quick"], arguments["seeds"])
-    manifest = reproduce(arguments["out"], items, plan, arguments["force"])
+    with Workers(free_cores()) as workers:
+        manifest = reproduce(arguments["out"], items, plan, arguments["force"], workers)
     for item in items:
         print(f"{item:8}{manifest['items'][item]['seconds']:10.1f} s")
     print(f"written to {arguments['out'] / 'report.md'}")

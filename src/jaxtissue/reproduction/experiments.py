@@ -2,7 +2,7 @@
 
 import json
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,15 +12,12 @@ import numpy as np
 
 from jaxtissue import io
 from jaxtissue.candidates import measure_tissue
-from jaxtissue.energy import tube_model
-from jaxtissue.laws import bound_ratios
-from jaxtissue.reproduction.tissues import Annealing, History, anneal_histories, random_tissue, relax_lloyd
+from jaxtissue.reproduction.tissues import Annealing, History, anneal_history
+from jaxtissue.reproduction.workers import Workers
 from jaxtissue.spread import covering_radius, separation
-from jaxtissue.statistics import KIND_ORDER, find_connectivity, summarize_connectivity
 from jaxtissue.tube import Tube
 
 Table = dict[str, np.ndarray]
-KINDS = ("random", "lloyd", "annealed")
 THRESHOLDS = (0.0, 0.01, 0.02, 0.05)  # smallest walls counted, in mean walls
 BASAL_RADIUS = 10.0
 FORMAT = 2  # of what is kept in a folder; raised when other code would compute other values
@@ -71,44 +68,70 @@ class Store:
     """What experiments share, in a folder: a run that is stopped takes up there.
 
     `fresh` forgets the old; what has another `FORMAT` is computed anew. Damaged files raise `ValueError`.
+    `workers` compute what there is more than one of.
     """
 
     folder: Path
     say: Callable[[str], None]
     fresh: bool = False
+    workers: Workers = field(default_factory=Workers)
     renewed: set[Path] = field(default_factory=set)
 
     def _is_usable(self, path: Path) -> bool:
         return path.exists() and (not self.fresh or path in self.renewed)
 
     def row(self, name: str, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """A row of named numbers, computed only if it is not there."""
-        path = self.folder / f"{name}.json"
-        if self._is_usable(path) and (row := _load_row(path)) is not None:
+        """A row of named numbers, computed in this process, only if it is not there."""
+        if (row := self.find_row(name)) is not None:
             return row
-        self.folder.mkdir(parents=True, exist_ok=True)
         self.say(name.replace("_", " "))
-        io.write_json(path, {"format": FORMAT, "row": compute()})
+        return self._keep_row(name, compute())
+
+    def rows(
+        self, function: Callable[..., dict[str, Any]], calls: Mapping[str, tuple[Any, ...]]
+    ) -> dict[str, dict[str, Any]]:
+        """Rows that are not there, by name, of the function's arguments; each is kept as it ends."""
+        names, rows = list(calls), {}
+        for number, row in self.workers.run(function, list(calls.values())):
+            self.say(f"{names[number].replace('_', ' ')} ({len(rows) + 1} of {len(names)})")
+            rows[names[number]] = self._keep_row(names[number], row)
+        return rows
+
+    def find_row(self, name: str) -> dict[str, Any] | None:
+        """The row of that name, if it is there."""
+        path = self.folder / f"{name}.json"
+        return _load_row(path) if self._is_usable(path) else None
+
+    def _keep_row(self, name: str, row: dict[str, Any]) -> dict[str, Any]:
+        """The row as it is found from now on."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / f"{name}.json"
+        io.write_json(path, {"format": FORMAT, "row": row})
         self.renewed.add(path)
         return json.loads(path.read_text(encoding="utf-8"))["row"]
 
     def histories(self, annealing: Annealing, seeds: Sequence[int]) -> list[History]:
-        """One annealing run for each seed; those that are not there are computed, each kept as it ends."""
-        paths = {seed: self.folder / f"{annealing.name}_seed{seed}.npz" for seed in seeds}
-        found = {seed: _load_history(path) for seed, path in paths.items() if self._is_usable(path)}
-        known = {seed: history for seed, history in found.items() if history is not None}
-        missing = [seed for seed in seeds if seed not in known]
+        """One annealing run for each seed, as by `anneal`."""
+        return self.anneal([(annealing, seed) for seed in seeds])
+
+    def anneal(self, wanted: Sequence[tuple[Annealing, int]]) -> list[History]:
+        """The runs of these seeds; those that are not there are computed, each kept as it ends."""
+        paths = [self.folder / f"{annealing.name}_seed{seed}.npz" for annealing, seed in wanted]
+        runs = [_load_history(path) if self._is_usable(path) else None for path in paths]
+        missing = [at for at, run in enumerate(runs) if run is None]
         if missing:
             self.folder.mkdir(parents=True, exist_ok=True)
-            self.say(f"annealing {len(missing)} x {annealing.name.replace('_', ' ')}")
-        new = anneal_histories(annealing, missing) if missing else []
-        for seed, history in zip(missing, new, strict=True):
+            self.say(f"tissues to anneal: {len(missing)}")
+        calls, done = [wanted[at] for at in missing], 0
+        for number, history in self.workers.run(anneal_history, calls):
+            path, done = paths[missing[number]], done + 1
             columns: dict[str, Any] = {"format": FORMAT, "positions": history.positions}
-            with io.replacing(paths[seed], "wb") as file:
+            with io.replacing(path, "wb") as file:
                 np.savez(file, allow_pickle=False, **columns, **history.records)
-            self.renewed.add(paths[seed])
-            known[seed] = history
-        return [known[seed] for seed in seeds]
+            self.renewed.add(path)
+            self.say(f"annealed {path.stem.replace('_', ' ')} ({done} of {len(missing)})")
+            runs[missing[number]] = history
+        return [run for run in runs if run is not None]
 
 
 def _load_history(path: Path) -> History | None:
@@ -142,25 +165,30 @@ def measure_runs(plan: Plan, store: Store) -> Table:
 
     `covering_radius`, `separation` and their ratio `tightness` (phi) are measured for IS-MH only.
     """
+    kinds = [(radius, algorithm) for radius in (1.0, 5.0) for algorithm in ("is-mh", "mh")]
+    keys = [(*kind, seed) for kind in kinds for seed in range(plan.seeds)]
+    annealings = {kind: plan.annealing(BASAL_RADIUS / kind[0], kind[1]) for kind in kinds}
+    runs = store.anneal([(annealings[key[:2]], key[2]) for key in keys])
+    calls = [
+        (run.positions, annealings[key[:2]].tube, key[1] == "is-mh")
+        for key, run in zip(keys, runs, strict=True)
+    ]
+    spreads = dict(store.workers.run(_spread, calls))
     tables = []
-    for radius in (1.0, 5.0):
-        for algorithm in ("is-mh", "mh"):
-            annealing = plan.annealing(BASAL_RADIUS / radius, algorithm)
-            runs = store.histories(annealing, range(plan.seeds))
-            for seed, run in enumerate(runs):
-                count = len(run.positions)
-                table = {"apical_radius": np.full(count, radius), "algorithm": np.full(count, algorithm)}
-                table |= {"seed": np.full(count, seed)} | run.records
-                table["rounds_so_far"] = np.cumsum(run.records["rounds"])
-                tables.append(table | _spread(run, annealing.tube, algorithm == "is-mh"))
+    for number, ((radius, algorithm, seed), run) in enumerate(zip(keys, runs, strict=True)):
+        count = len(run.positions)
+        table = {"apical_radius": np.full(count, radius), "algorithm": np.full(count, algorithm)}
+        table |= {"seed": np.full(count, seed)} | run.records
+        table["rounds_so_far"] = np.cumsum(run.records["rounds"])
+        tables.append(table | spreads[number])
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
-def _spread(run: History, tube: Tube, measured: bool) -> Table:
-    nothing = np.full(len(run.positions), np.nan)
+def _spread(positions: np.ndarray, tube: Tube, measured: bool) -> Table:
+    nothing = np.full(len(positions), np.nan)
     covering, apart = nothing, nothing
     if measured:
-        places = [jnp.asarray(place) for place in run.positions]
+        places = [jnp.asarray(place) for place in positions]
         covering = np.array([float(covering_radius(place, tube)) for place in places])
         apart = np.array([float(separation(place, tube)) for place in places])
     return {"covering_radius": covering, "separation": apart, "tightness": covering / apart}
@@ -186,62 +214,3 @@ def measure_volumes(plan: Plan, store: Store) -> Table:
             }
             tables.append(table)
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-
-
-def measure_ratios(plan: Plan, store: Store) -> Table:
-    """Connectivity of random, Lloyd-relaxed and annealed tissue against the surface ratio (Figs. 12, 13, 15).
-
-    A row for each ratio, kind of tissue and seed: energy, means over all cells, and, as `..._above_1`, `_2`
-    and `_5`, the means if walls below 1, 2 and 5 % of the mean wall are no contacts; `lemma_...` and
-    `corollary_...` are the largest neighborhoods / the bounds that the tissue's tightness sets.
-    """
-    rows = []
-    for ratio in plan.ratios:
-        for kind in KINDS:
-            for seed in range(plan.seeds):
-                size = f"cells{plan.cells}_length{plan.length:g}"
-                name = f"connectivity_ratio{ratio:g}_{kind}_{size}_seed{seed}"
-                name += f"_sweeps{plan.sweeps}" if kind == "annealed" else ""
-                rows.append(store.row(name, lambda at=(ratio, kind, seed): _connect(plan, store, *at)))
-    return tabulate(rows)
-
-
-def make_tissue(plan: Plan, store: Store, ratio: float, kind: str, seed: int) -> np.ndarray:
-    """The positions of a random, Lloyd-relaxed or annealed tissue."""
-    if kind == "annealed":
-        return store.histories(plan.annealing(ratio), range(plan.seeds))[seed].positions[-1]
-    place = np.asarray(random_tissue(plan.tube(ratio), plan.cells, seed))
-    return relax_lloyd(place, plan.tube(ratio)) if kind == "lloyd" else place
-
-
-def _connect(plan: Plan, store: Store, ratio: float, kind: str, seed: int) -> dict[str, Any]:
-    tube, place = plan.tube(ratio), make_tissue(plan, store, ratio, kind, seed)
-    cells, _ = measure_tissue(jnp.asarray(place), tube)
-    energy = tube_model(tube, plan.cells).cell_energy(cells, tube_model(tube, plan.cells))
-    found = find_connectivity(place, tube)
-    row: dict[str, Any] = {"ratio": ratio, "kind": kind, "seed": seed}
-    row |= {"energy": float(np.sum(energy, dtype=float)), "volume_spread": _variation(cells.volume)}
-    row |= summarize_connectivity(found)
-    inner = summarize_connectivity(found, inner_only=True)
-    row |= {f"{name}_inner": inner[name] for name in ("neighbors", "transitions", "scutoid_fraction")}
-    for bound in bound_ratios(place, tube, found, hops=(2, 3)):
-        row[f"{bound['bound'].lower().replace(' ', '_')}_hops_{bound['hops']}"] = bound["ratio"]
-        row["tightness"] = bound["tightness"]
-    contacts, mean = found.contacts, found.contacts.area.mean()
-    for threshold in THRESHOLDS[1:]:
-        kept = contacts.area >= threshold * mean
-        ending = f"_above_{100 * threshold:g}"
-        counts = {what: 2 * (kept & (contacts.kind == what)).sum() / plan.cells for what in KIND_ORDER}
-        touched = np.unique(contacts.pairs[kept & (contacts.kind == "internal")])
-        row |= {f"{what}_neighbors{ending}": count for what, count in counts.items()}
-        row |= {
-            f"neighbors{ending}": sum(counts.values()),
-            f"internal_fraction{ending}": len(touched) / plan.cells,
-        }
-    return row
-
-
-def _variation(volumes: Any) -> float:
-    """Standard deviation / mean."""
-    volume = np.asarray(volumes, float)
-    return float(volume.std() / volume.mean())

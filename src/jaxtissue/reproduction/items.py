@@ -17,8 +17,6 @@ from jaxtissue.reproduction.experiments import (
     Plan,
     Store,
     Table,
-    make_tissue,
-    measure_ratios,
     measure_runs,
     measure_volumes,
 )
@@ -26,6 +24,7 @@ from jaxtissue.reproduction.figures import plot_runs, plot_times, plot_volume_ra
 from jaxtissue.reproduction.pictures import plot_cell_in_tissues, plot_internal_pair, plot_scutoid
 from jaxtissue.reproduction.ratio_claims import ratio_means
 from jaxtissue.reproduction.ratio_figures import plot_kinds, plot_neighbors, plot_transitions
+from jaxtissue.reproduction.ratios import measure_ratios
 from jaxtissue.reproduction.timings import measure_table
 from jaxtissue.reproduction.tissues import random_tissue
 from jaxtissue.reproduction.tube_pictures import plot_backbones, plot_tube
@@ -52,7 +51,7 @@ def make_table1(plan: Plan, store: Store) -> Product:
 def make_fig5(plan: Plan, store: Store) -> Product:
     """The cell that begins with the smallest volume, before and after annealing with R_a = 1."""
     tube = plan.tube(PICTURED_RATIO)
-    run = store.histories(plan.annealing(PICTURED_RATIO), range(plan.seeds))[0]
+    run = store.histories(plan.annealing(PICTURED_RATIO), [0])[0]
     places = [np.asarray(place, float) for place in (run.positions[0], run.positions[-1])]
     volumes = [np.asarray(measure_tissue(jnp.asarray(place), tube)[0].volume, float) for place in places]
     cell = int(volumes[0].argmin())
@@ -178,7 +177,8 @@ def _pictured(plan: Plan) -> tuple[Tube, np.ndarray]:
 
 
 def _annealed(plan: Plan, store: Store) -> tuple[Tube, np.ndarray, np.ndarray]:
-    tube, place = plan.tube(PICTURED_RATIO), make_tissue(plan, store, PICTURED_RATIO, "annealed", 0)
+    tube = plan.tube(PICTURED_RATIO)
+    place = store.histories(plan.annealing(PICTURED_RATIO), [0])[0].positions[-1]
     cells, _ = measure_tissue(jnp.asarray(place), tube)
     return tube, np.asarray(place, float), np.asarray(cells.touches_end)
 

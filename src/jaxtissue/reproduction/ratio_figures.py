@@ -3,6 +3,7 @@
 Tables are those of `experiments`. Bands are one standard deviation over the seeds.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -41,11 +42,7 @@ def plot_neighbors(table: Table, law: NeighborLaw | None) -> tuple[Figure, np.nd
         band(axes[0], rows["ratio"], rows["neighbors"], style[1], style[2], style[0])
     _draw_law(axes[0], table, law)
     _draw_gland(axes[0], published.GLAND.neighbors)
-    rows = where(table, kind="annealed")
-    for threshold, color in zip(THRESHOLDS, mpl.colormaps["viridis"](np.linspace(0, 0.85, 4)), strict=True):
-        label = f"walls of at least {100 * threshold:g} % of the mean" if threshold else "every wall"
-        column = "neighbors" + (f"_above_{100 * threshold:g}" if threshold else "")
-        band(axes[1], rows["ratio"], rows[column], color, "-", label)
+    _draw_thresholds(axes[1], table, "neighbors")
     for panel in axes:
         panel.plot(
             *zip(*published.NEIGHBORS.items(), strict=True),
@@ -83,9 +80,7 @@ def plot_transitions(table: Table, law: NeighborLaw | None = None) -> tuple[Figu
         "scutoids (% of the cells)",
     )
     titles = ("Transition points", "The cell with the most", "Scutoids")
-    for panel, title, name in zip(axes, titles, names, strict=True):
-        panel.set(title=title, ylabel=name, ylim=(0, None))
-        panel.legend(fontsize=8)
+    _label_panels(axes, titles, names)
     axes[2].yaxis.set_major_formatter(PercentFormatter())
     return figure, axes
 
@@ -96,11 +91,8 @@ def plot_kinds(table: Table) -> tuple[Figure, np.ndarray]:
     rows = where(table, kind="annealed")
     for name, (label, color, dashes) in WALLS.items():
         band(axes[0], rows["ratio"], rows[f"{name}_neighbors"], color, dashes, label)
-    for threshold, color in zip(THRESHOLDS, mpl.colormaps["viridis"](np.linspace(0, 0.85, 4)), strict=True):
-        label = f"walls of at least {100 * threshold:g} % of the mean" if threshold else "every wall"
-        ending = f"_above_{100 * threshold:g}" if threshold else ""
-        band(axes[1], rows["ratio"], rows[f"internal_neighbors{ending}"], color, "-", label)
-        band(axes[2], rows["ratio"], 100 * rows[f"internal_fraction{ending}"], color, "-", label)
+    _draw_thresholds(axes[1], table, "internal_neighbors")
+    _draw_thresholds(axes[2], table, "internal_fraction", 100)
     axes[1].axhline(
         published.INTERNAL_NEIGHBORS, color="black", ls="--", lw=1, label="paper: about 1 at most"
     )
@@ -112,9 +104,7 @@ def plot_kinds(table: Table) -> tuple[Figure, np.ndarray]:
         "Cells with an internal neighbor",
     )
     names = ("mean number of neighbors", "mean number of internal neighbors", "cells (%)")
-    for panel, title, name in zip(axes, titles, names, strict=True):
-        panel.set(title=title, ylabel=name, ylim=(0, None))
-        panel.legend(fontsize=8)
+    _label_panels(axes, titles, names)
     return figure, axes
 
 
@@ -128,6 +118,21 @@ def _ratio_panels(table: Table, count: int) -> tuple[Figure, np.ndarray]:
         panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         panel.xaxis.set_minor_locator(NullLocator())
     return figure, axes
+
+
+def _label_panels(axes: np.ndarray, titles: Sequence[str], names: Sequence[str]) -> None:
+    for panel, title, name in zip(axes, titles, names, strict=True):
+        panel.set(title=title, ylabel=name, ylim=(0, None))
+        panel.legend(fontsize=8)
+
+
+def _draw_thresholds(axes: Axes, table: Table, name: str, scale: float = 1) -> None:
+    """A column of annealed tissue, for each smallest wall that is a contact."""
+    rows, colors = where(table, kind="annealed"), mpl.colormaps["viridis"](np.linspace(0, 0.85, 4))
+    for threshold, color in zip(THRESHOLDS, colors, strict=True):
+        label = f"walls of at least {100 * threshold:g} % of the mean" if threshold else "every wall"
+        column = rows[name + (f"_above_{100 * threshold:g}" if threshold else "")]
+        band(axes, rows["ratio"], scale * column, color, "-", label)
 
 
 def _draw_law(axes: Axes, table: Table, law: NeighborLaw | None) -> None:

@@ -16,6 +16,7 @@ from jaxtissue.reproduction.claims import Claim
 from jaxtissue.reproduction.experiments import FORMAT, QUICK, Plan, Store, Table
 from jaxtissue.reproduction.items import ITEMS, Product
 from jaxtissue.reproduction.report import judge_items, write_report
+from jaxtissue.reproduction.workers import Workers
 from jaxtissue.settings import now, provenance
 
 
@@ -39,14 +40,17 @@ def make_plan(quick: bool, seeds: int | None) -> Plan:
     return replace(plan, seeds=seeds) if seeds else plan
 
 
-def reproduce(folder: Path, items: Sequence[str], plan: Plan, force: bool = False) -> dict[str, Any]:
+def reproduce(
+    folder: Path, items: Sequence[str], plan: Plan, force: bool = False, workers: Workers | None = None
+) -> dict[str, Any]:
     """Make the items in `folder`, one after the other, and the report on all that are there; the manifest.
 
     Items that are there already are left as they are unless forced; a run that is stopped takes up at the
-    tissue it was at. Raises `ValueError` for a folder that another plan has filled or that can't be written.
+    tissue it was at. `workers` share the work, where there are any. Raises `ValueError` for a folder that
+    another plan has filled or that can't be written.
     """
     manifest = _open(folder, plan, force)
-    store = Store(folder / "data", lambda text: _say(f"  {text}"), fresh=force)
+    store = Store(folder / "data", lambda text: _say(f"  {text}"), fresh=force, workers=workers or Workers())
     for item in items:
         if item in manifest["items"] and not force:
             _say(f"{item} is there already; --force makes it anew")
@@ -89,6 +93,7 @@ def _open(folder: Path, plan: Plan, force: bool) -> dict[str, Any]:
             found = f"{folder} holds a {kind} run with {other} = {planned.get(other)}, not {arguments[other]}"
             raise ValueError(f"{found}; choose another or add --force")
     io.make_folder(folder)
+    io.write_json(path, manifest)  # whoever is stopped at the first item finds the folder theirs
     return manifest
 
 

@@ -1,15 +1,16 @@
 """Tissues to look at: annealed ones with their history, and ones relaxed by Lloyd's method."""
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jax import lax
+from jaxtyping import Array, Float, Int
 
 from jaxtissue.anneal import Annealer
+from jaxtissue.backbones import Backbones
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import PRESETS
 from jaxtissue.records import SweepRecord
@@ -20,6 +21,8 @@ from jaxtissue.voronoi import nearest_backbones
 
 TEMPERATURE = 2.0  # paper, section 4.3
 VOXELS = 230  # per cell, for the centroids of Lloyd's method
+SLAB = 4096  # voxels labeled at once
+LISTED = 96  # backbones compared with them at first
 
 
 @dataclass(frozen=True)
@@ -47,12 +50,8 @@ class History(NamedTuple):
     positions: Float[np.ndarray, "rows n 2"]
 
 
-def anneal_histories(annealing: Annealing, seeds: Sequence[int]) -> Iterator[History]:
-    """One run for each seed, which gives the random backbones it starts from and its moves; as they end."""
-    return (_anneal(annealing, seed) for seed in seeds)
-
-
-def _anneal(annealing: Annealing, seed: int) -> History:
+def anneal_history(annealing: Annealing, seed: int) -> History:
+    """The run of a seed, which gives the random backbones it starts from and its moves."""
     model = tube_model(annealing.tube, annealing.cells)
     temperatures = constant_schedule(TEMPERATURE, annealing.sweeps)
     rules = annealing.algorithm, seed, temperatures, annealing.conflicts
@@ -93,8 +92,43 @@ def relax_lloyd(
     moments = np.stack([np.ones_like(turn), points[:, 0], np.cos(turn), np.sin(turn)]) * np.asarray(volumes)
     place = np.asarray(positions, points.dtype)
     for _ in range(iterations):
-        labels = np.asarray(nearest_backbones(points, tube.embed(jnp.asarray(place)))[0][:, 0])
+        labels = _label(points, place, tube)
         volume, axial, cosine, sine = (np.bincount(labels, moment, n) for moment in moments)
         center = np.stack([axial / np.maximum(volume, 1e-30), np.arctan2(sine, cosine)], axis=-1)
         place = np.where(volume[:, None] > 0, center, place).astype(points.dtype)
     return np.asarray(tube.reflect(jnp.asarray(place)))
+
+
+def _label(points: Float[Array, "p 3"], place: Float[np.ndarray, "n 2"], tube: Tube) -> Int[np.ndarray, " p"]:
+    """The nearest backbone of each point; points come in rising order along the axis.
+
+    Some thousand points at a time are compared with the backbones near them along the axis only, as wide as
+    they need: until none is nearer than the nearest of those left out could be.
+    """
+    width, backbones = min(LISTED, len(place)), tube.embed(jnp.asarray(place))
+    slabs = -(-len(points) // SLAB)
+    parts = jnp.pad(points, ((0, slabs * SLAB - len(points)), (0, 0)), mode="edge").reshape(slabs, SLAB, 3)
+    axial = np.asarray(parts[:, :, 0])
+    low, high = axial[:, :1], axial[:, -1:]
+    off = np.maximum(np.maximum(low - place[:, 0], place[:, 0] - high), 0)
+    order = np.argsort(off, axis=1, kind="stable")
+    while True:
+        listed = np.sort(order[:, :width], axis=1)  # of equally near ones the first is taken
+        labels, distances = (np.asarray(found) for found in _nearest(parts, listed, backbones))
+        left_out = np.take_along_axis(off, order[:, width : width + 1], axis=1)
+        if width == len(place) or (distances < left_out).all():
+            return labels.ravel()[: len(points)]
+        width = min(2 * width, len(place))
+
+
+@jax.jit
+def _nearest(
+    parts: Float[Array, "slabs slab 3"], listed: Int[Array, "slabs listed"], backbones: Backbones
+) -> tuple[Int[Array, "slabs slab"], Float[Array, "slabs slab"]]:
+    """For each slab of points the nearest of its listed backbones, and how far it is."""
+
+    def search(part: Array, some: Array) -> tuple[Array, Array]:
+        labels, distances = nearest_backbones(part, jax.tree.map(lambda ends: ends[some], backbones))
+        return some[labels[:, 0]], distances[:, 0]
+
+    return lax.map(lambda at: search(*at), (parts, listed))

@@ -1,0 +1,92 @@
+"""Calls that do not depend on each other, by several processes at once, each on one core."""
+
+import multiprocessing
+import os
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from typing import Any
+
+import jax
+
+
+def free_cores() -> int:
+    """How many cores this process may use; one where JAX has accelerators, which are not shared out."""
+    if jax.default_backend() != "cpu":
+        return 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Workers:
+    """So many processes, started when first there is work for two, and ended on leaving `with`.
+
+    With one all is computed in this process. Each has one core and the precision of this process; what one of
+    them or this process compiled the others find in a folder. Results are the same to the bit for any number.
+    """
+
+    def __init__(self, count: int = 1) -> None:
+        self.count = count
+        self._executor: ProcessPoolExecutor | None = None
+        self._compiled: tempfile.TemporaryDirectory | None = None
+
+    def __enter__(self) -> "Workers":
+        if self.count > 1 and not jax.config.jax_compilation_cache_dir:
+            self._compiled = tempfile.TemporaryDirectory(prefix="jaxtissue-", ignore_cleanup_errors=True)
+            jax.config.update("jax_compilation_cache_dir", self._compiled.name)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._executor:
+            self._executor.shutdown(cancel_futures=True)
+        if self._compiled:
+            jax.config.update("jax_compilation_cache_dir", None)
+            self._compiled.cleanup()
+
+    def run(
+        self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]
+    ) -> Iterator[tuple[int, Any]]:
+        """Number and result of each call, by its arguments, as they end.
+
+        Function, arguments and results must be such as `pickle` takes, if there are more processes and calls
+        than one.
+        """
+        if min(self.count, len(calls)) < 2:
+            yield from ((number, function(*call)) for number, call in enumerate(calls))
+            return
+        executor = self._start()
+        numbers = {executor.submit(function, *call): number for number, call in enumerate(calls)}
+        try:
+            for future in as_completed(numbers):
+                yield numbers[future], future.result()
+        finally:  # where one failed or nobody wants the others
+            for future in numbers:
+                future.cancel()
+
+    def _start(self) -> ProcessPoolExecutor:
+        if not self._executor:
+            self._executor = ProcessPoolExecutor(
+                self.count,
+                multiprocessing.get_context("spawn"),  # JAX's threads do not survive a fork
+                _set_up,
+                (jax.config.jax_compilation_cache_dir, jax.config.jax_enable_x64),
+            )
+        return self._executor
+
+
+def _set_up(compiled: str | None, x64: bool) -> None:
+    """Make this process a worker."""
+    os.environ["NPROC"] = "1"  # threads of XLA, which reads it when it starts
+    jax.config.update("jax_platforms", "cpu")
+    jax.config.update("jax_enable_x64", x64)
+    jax.config.update("jax_compilation_cache_dir", compiled)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it without a word
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """A parent that is killed ends nobody by itself."""
+    if parent := multiprocessing.parent_process():
+        parent.join()
+        os._exit(1)
