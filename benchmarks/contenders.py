@@ -19,8 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxtissue as jt
-from jaxtissue.anneal import CANDIDATES, SPARSE, WINDOW
-from jaxtissue.candidates import REACH
+from jaxtissue.anneal import CANDIDATES, SPARSE
 from jaxtissue.shortlists import nearest_sides
 from jaxtissue.spans import look
 
@@ -49,7 +48,7 @@ def lists(case: str, kind: str) -> jax.Array:
 
 def shortlists(place: np.ndarray, tube: jt.Tube, sides: np.ndarray) -> np.ndarray:
     """Of complete candidates the 24 a side that the annealer keeps for some sweeps."""
-    lines = [jt.plan_lines(tube, len(place), size, WINDOW) for size in (jt.PRESETS["standard"], SPARSE)]
+    lines = [jt.plan_lines(tube, len(place), size) for size in (jt.PRESETS["standard"], SPARSE)]
     model = jt.tube_model(tube, len(place))
     _, clear = jax.jit(look)(jnp.asarray(place), model, (lines[0], lines[1]), jnp.asarray(sides))
     return nearest_sides(sides, np.array(clear), CANDIDATES)
@@ -76,7 +75,7 @@ def diagram(case: str, kind: str, size: Any) -> Callable[[], tuple[Any, Any]]:
             return jt.label_volumes(labels[:, 0], volumes, len(place)), None
 
         return count
-    lines = jt.plan_lines(tube, len(place), jt.Resolution(*size), WINDOW if kind == "kept" else REACH)
+    lines = jt.plan_lines(tube, len(place), jt.Resolution(*size))
     sides = None if kind == "scratch" else lists(case, kind)
 
     def measure() -> tuple[Any, Any]:

@@ -18,7 +18,7 @@ from contenders import shortlists
 from peer import Peer, find_peer
 
 import jaxtissue as jt
-from jaxtissue.anneal import SPAN, WINDOW
+from jaxtissue.anneal import SPAN
 
 RESOLUTIONS = (*jt.PRESETS, "4x4", "4x4.5", "8x8", "8x10")
 ALGORITHMS, SAMPLES = ("incremental MH", "IS-MH"), (4, 10, 50)
@@ -36,7 +36,7 @@ def our_diagram(place: np.ndarray, tube: jt.Tube, size: jt.Resolution, kept: jax
     sides = jnp.asarray(jt.find_candidates(place, tube))
     jax.block_until_ready(_measure(positions, tube, jt.plan_lines(tube, len(place), size), sides))
     scratch = time.perf_counter() - begin
-    lines = jt.plan_lines(tube, len(place), size, WINDOW)
+    lines = jt.plan_lines(tube, len(place), size)
     for _ in range(5):
         begin = time.perf_counter()
         sizes = jax.block_until_ready(_measure(positions, tube, lines, kept))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from conftest import REFERENCES, read_reference
 
-from jaxtissue.candidates import REACH, TILES, find_candidates, measure_tissue, sided, tiling_defect
+from jaxtissue.candidates import TILES, find_candidates, measure_tissue, sided, tiling_defect
 from jaxtissue.cells import CellGeometry, measure_cells
 from jaxtissue.exact import exact_cells
-from jaxtissue.lines import PRESETS, plan_lines
+from jaxtissue.lines import PRESETS, REACH, plan_lines
 from jaxtissue.tube import Tube
 
 pytestmark = pytest.mark.usefixtures("quick_compile")

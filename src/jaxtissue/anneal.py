@@ -28,8 +28,8 @@ SPAN = 5  # the most sweeps between renewals of lists and rounds
 CANDIDATES = 24  # on each side of a cell during a sweep: three times as many as bound a cell
 NEAR = 3  # longest moves within which a candidate is on a shortlist if the cell is on its
 MARGIN = 4  # longest moves by which a candidate may lie on the other side of a cell
-WINDOW = 1.5  # mean cell widths on either side of a backbone that the first window of lines covers
 SPARSE = Resolution(4, 2)  # lines on which it is seen how clear of a cell its candidates are
+SIGHT = 2.5  # mean cell widths to either side in which that is seen
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
 Plan = Sequence[Int[np.ndarray, "rounds width"]]  # the rounds of some sweeps
 Span = tuple["AnnealState", list[SweepRecord], Float[np.ndarray, "sweeps n 2"]]
@@ -188,7 +188,7 @@ class Annealer:
         return after, second._replace(info=info), max(drift, more)
 
     def _plan(self, cells: int) -> Lines:
-        return plan_lines(self.model.tube, cells, self.resolution, WINDOW)
+        return plan_lines(self.model.tube, cells, self.resolution)
 
     def _measure(self, state: AnnealState) -> Task[Measured]:
         """Measure the whole tissue on complete lists; the last result is kept."""
@@ -198,7 +198,7 @@ class Annealer:
             yield self._expect_play(state)
         sides = self._find(jnp.asarray(state.positions), state.widths[0])
         n = len(state.positions)
-        lines = self._plan(n), plan_lines(self.model.tube, n, SPARSE)
+        lines = self._plan(n), plan_lines(self.model.tube, n, SPARSE, SIGHT)
         # lists are not padded to those of others: their width sets how finely `stop` compares
         seen, clear = yield from self._ask(Request(look, (state.positions, self.model, lines, sides)))
         self._last = state, Measured(seen, sides, clear)

@@ -18,7 +18,6 @@ from jaxtissue.lines import PRESETS, Resolution, plan_lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import LEVEL, Posts, posts, see_angles, see_rivals, settled, stop, walls
 
-REACH = 2.5  # mean cell widths on either side of a backbone that a first window of lines covers
 NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
 TILES = 1e-5  # relative defect of the lengths along a line above which lists are taken as incomplete
 
@@ -35,7 +34,7 @@ def measure_tissue(
     concrete arrays; inside `jit` call `measure_cells`. Positions as (axial, angle), [n, 2].
     """
     sides = find_candidates(positions, tube)
-    lines = plan_lines(tube, len(positions), resolution, REACH, surfaces=True)
+    lines = plan_lines(tube, len(positions), resolution, surfaces=True)
     sizes, _ = _measure(positions, tube, lines, jnp.asarray(sides))
     return sizes, float(tiling_defect(positions, tube, jnp.asarray(sides)))
 

@@ -13,7 +13,7 @@ from jaxtissue.lines import Lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import END, Posts, Walls, posts, see_rivals, see_window, settled, stop, strips, walls
 
-BLOCK = 136  # cells measured at once, 8 times an odd number: of 128 the rows evict each other from the cache
+BLOCK = 88  # cells measured at once, 8 times an odd number: of 64 or 128 rows evict each other from the cache
 
 
 class CellGeometry(eqx.Module):

@@ -7,12 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxtissue.cells import CellGeometry, Survey, measure_window, through_windows
+from jaxtissue.cells import BLOCK, CellGeometry, Survey, measure_window, through_windows
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines
 from jaxtissue.walls import LEVEL, Posts, Rivals, meeting, posts, see_lines
 
-ITEMS = 88  # cells measured at once, 8 times an odd number as in `cells`
 ROOM = 20  # cells that a move may change, on average over a round: twice as many as it does
 
 
@@ -176,7 +175,7 @@ def measure_changes(
         )
         return done, window.onward
 
-    return through_windows(measure, total, size, ITEMS, start)
+    return through_windows(measure, total, size, BLOCK, start)
 
 
 def drop_unchanged(

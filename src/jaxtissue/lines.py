@@ -20,6 +20,7 @@ class Resolution(NamedTuple):
     density: float
 
 
+REACH = 1.5  # mean cell widths on either side of a backbone that the first window of lines covers
 MARGIN = 0.37  # about (sqrt(3) - 1) / 2, of the best rules for natural splines
 PRESETS = {"draft": Resolution(3, 3), "standard": Resolution(6, 8), "fine": Resolution(10, 10)}
 
@@ -99,7 +100,7 @@ class Lines(eqx.Module):
 
 
 def plan_lines(
-    tube: Tube, cells: int, resolution: Resolution, reach: float = 2.5, surfaces: bool = False
+    tube: Tube, cells: int, resolution: Resolution, reach: float = REACH, surfaces: bool = False
 ) -> Lines:
     """The lines for a tube of `cells` cells, in windows of `reach` mean cell widths to either side.
 

@@ -2,7 +2,7 @@
 
 import os
 
-from jaxtissue.anneal import CANDIDATES, WINDOW
+from jaxtissue.anneal import CANDIDATES
 from jaxtissue.candidates import NEAREST
 from jaxtissue.lines import Resolution, plan_lines
 from jaxtissue.rounds import ROUNDS
@@ -26,7 +26,7 @@ def estimate_memory(
     >>> print(describe_bytes(estimate_memory(5000, tube, Resolution(3, 3))))
     0.7 GB
     """
-    lines = len(plan_lines(tube, cells, resolution, WINDOW).number)
+    lines = len(plan_lines(tube, cells, resolution).number)
     reach = 2 * lines * float_bytes
     listed = NEAREST
     look = listed * (4 + 4 + float_bytes + 2) + reach
