@@ -20,7 +20,7 @@ from peer import Peer, find_peer
 import jaxtissue as jt
 from jaxtissue.anneal import SPAN
 
-RESOLUTIONS = (*jt.PRESETS, "4x4", "4x4.5", "8x8", "8x10")
+RESOLUTIONS = ("draft", "3x3.5", "4x4", "5x7", "7x8")
 ALGORITHMS, SAMPLES = ("incremental MH", "IS-MH"), (4, 10, 50)
 WARM_UP = (
     2 * SPAN
@@ -174,14 +174,14 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="n = 500 only")
     parser.add_argument("--repeats", type=int, default=3, help="turns of everybody")
     parser.add_argument(
-        "--budget", type=float, default=20.0, help="seconds for a peer's sweeps, else extrapolated"
+        "--budget", type=float, default=5.0, help="seconds for a peer's sweeps, else extrapolated"
     )
     parser.add_argument(
         "--resolutions", nargs="+", default=RESOLUTIONS, help="of ours; energies are those of the first"
     )
     arguments = parser.parse_args()
     peer, results = find_peer(arguments.peer), []
-    for radius, n in product((1.0, 5.0), (500,) if arguments.quick else (500, 1000, 5000)):
+    for radius, n in product((1.0, 5.0), (500,) if arguments.quick else (100, 500, 1000)):
         results.append(race(radius, n, peer, arguments))
         report(results[-1])
     common.write(arguments.out, {"budget_seconds": arguments.budget, "results": results})
