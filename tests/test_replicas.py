@@ -1,5 +1,7 @@
 """Replicas: together as alone to the bit, whatever differs among them, in one program, however lifted."""
 
+from concurrent.futures import Future
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +11,7 @@ from jaxtissue import anneal, programs
 from jaxtissue.anneal import Annealer, advance_together, record_together
 from jaxtissue.energy import Model, tube_model
 from jaxtissue.lines import PRESETS
-from jaxtissue.programs import PROGRAMS, Request, ask, run_together
+from jaxtissue.programs import PROGRAMS, Ahead, Request, ask, run_together
 from jaxtissue.tube import Tube
 
 pytestmark = pytest.mark.usefixtures("quick_compile")
@@ -126,6 +128,38 @@ def test_tasks_go_on_turn_by_turn_and_slots_without_one_are_skipped() -> None:
     assert run_together([]) == []
     with pytest.raises(ZeroDivisionError):
         run_together([ask(double, np.float32(1 / (len(PROGRAMS) - before - 1)))])
+
+
+@pytest.mark.parametrize("expected, programs_made", [(3, 1), (4, 2)])
+def test_what_is_compiled_ahead_is_used_if_it_fits(expected: int, programs_made: int) -> None:
+    def total(table: jax.Array) -> jax.Array:
+        return table.sum()
+
+    def task():
+        yield Ahead(total, (np.zeros(expected, np.float32),))
+        return (yield Request(total, (np.ones(3, np.float32),))).result
+
+    before = len(PROGRAMS)
+    assert run_together([task(), task()]) == [3.0, 3.0]
+    assert len(PROGRAMS) == before + programs_made
+
+
+def test_what_failed_ahead_is_compiled_when_it_is_asked_for(monkeypatch) -> None:
+    class Fails:
+        def submit(self, _) -> Future:
+            failed: Future = Future()
+            failed.set_exception(MemoryError("none left"))
+            return failed
+
+    def total(table: jax.Array) -> jax.Array:
+        return table.sum()
+
+    def task():
+        yield Ahead(total, (np.zeros(3, np.float32),))
+        return (yield Request(total, (np.ones(3, np.float32),))).result
+
+    monkeypatch.setattr(programs, "BESIDE", Fails())
+    assert run_together([task()]) == [3.0]
 
 
 def test_requests_of_other_shapes_run_in_programs_of_their_own() -> None:

@@ -194,7 +194,7 @@ class Annealer:
         """Measure the whole tissue on complete lists; the last result is kept."""
         if self._last and self._last[0].positions is state.positions:
             return self._last[1]
-        if self._last is None and state.sweep < len(self.temperatures):
+        if self._last is None and state.sweep < len(self.temperatures) and self._has_few_rounds:
             yield self._expect_play(state)
         sides = self._find(jnp.asarray(state.positions), state.widths[0])
         n = len(state.positions)
@@ -203,6 +203,11 @@ class Annealer:
         seen, clear = yield from self._ask(Request(look, (state.positions, self.model, lines, sides)))
         self._last = state, Measured(seen, sides, clear)
         return self._last[1]
+
+    @property
+    def _has_few_rounds(self) -> bool:
+        """Whether a sweep is sure to have no more rounds than the least that are made room for."""
+        return self.algorithm == "mh" or self.conflicts in ("near", "2-hop")
 
     def _expect_play(self, state: AnnealState) -> Ahead:
         """What `play` will be asked for, with lists and rounds as wide as they are likely to be."""

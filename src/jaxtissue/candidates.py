@@ -18,7 +18,7 @@ from jaxtissue.lines import PRESETS, Resolution, plan_lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import LEVEL, Posts, posts, see_angles, see_rivals, settled, stop, walls
 
-NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
+NEAREST = 96  # backbones that are candidates of each cell, half of them a side, unless it needs more
 TILES = 1e-5  # relative defect of the lengths along a line above which lists are taken as incomplete
 
 _measure = jax.jit(measure_cells)
@@ -171,7 +171,8 @@ def sided(
     taken = [np.flatnonzero(sign * gap >= -margin) for sign in (-1, 1)]
     rows = [at // lists.shape[1] for at in taken]
     counts = [np.bincount(row, minlength=len(lists)) for row in rows]
-    width = min(max(1, *(int(count.max(initial=0)) for count in counts)), most or lists.shape[1])
+    width = max(1, *(int(count.max(initial=0)) for count in counts))
+    width = width if most is None else min(width, most)
     width = -(-width // 24) * 24  # few shapes, so few compilations
     sides = np.repeat(own, 2 * width, axis=1).reshape(-1, 2, width)
     for side, (at, row, count) in enumerate(zip(taken, rows, counts, strict=True)):

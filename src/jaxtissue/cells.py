@@ -47,7 +47,7 @@ def measure_window(
     """
     dtype, truth = own.axial.dtype, own.axial[0] > -1
     ends = jnp.stack([own.axial, tube.length - own.axial])
-    grid = see_window(lines, tube, dtype, shift, truth)
+    grid = see_window(lines, dtype, shift, truth)
     rivals = settled(lambda: see_rivals(own, others, first, tube), truth)
     by = stop(grid, rivals, ends, tube, truth)
     wall = walls(by, rivals, ends, grid, tube, truth)
@@ -56,7 +56,7 @@ def measure_window(
     bears = strip[1:] | strip[:-1]
     edges = np.stack([lines.number == sign * np.array(lines.half)[lines.layer] for sign in (-1, 1)])
     at_end = ((by == END) & (inside & bears)[:, None]).any(axis=(0, 1))
-    (volume, area), *on_surfaces = integrate(wall, step, tube, lines, truth)
+    (volume, area), *on_surfaces = integrate(wall, step, lines, truth)
     areas, perimeters = zip(*on_surfaces, strict=True) if on_surfaces else 2 * [(None, None)]
     sizes = CellGeometry(volume, area, *areas, *perimeters, touches_end=at_end)
     # a product, since a reduction would run one number at a time
@@ -64,7 +64,7 @@ def measure_window(
     return Window(sizes, jnp.where(bears[:, None], wall.reach, -jnp.inf), by, onward)
 
 
-def integrate(wall: Walls, step: Array, tube: Tube, lines: Lines, truth: Array) -> list[tuple[Array, Array]]:
+def integrate(wall: Walls, step: Array, lines: Lines, truth: Array) -> list[tuple[Array, Array]]:
     """Volume and lateral area, and area and perimeter on each surface among the lines: sums over strips.
 
     Sums are products with the weights of the lines: as reductions they would run one number at a time.
@@ -159,9 +159,9 @@ def measure_cells(
 ) -> tuple[CellGeometry, Survey]:
     """Measure all cells, or the given ones, against their candidate neighbors behind and ahead.
 
-    Lists are padded with the cell itself. Pure: `jit` it, `vmap` it over replicas; positions, the tube's
-    sizes and the lines are traced. V_i = integral of the interval's length over r dr dt, A_i = integral of
-    the walls' tilt. Paper, section 3.1.
+    Lists are padded with the cell itself. Pure: `jit` it, `vmap` it over replicas, each with the lines
+    planned for its tube; positions, the tube's sizes and the lines are traced. V_i = integral of the
+    interval's length over r dr dt, A_i = integral of the walls' tilt. Paper, section 3.1.
     """
     which = jnp.arange(len(positions), dtype=jnp.int32) if cells is None else jnp.asarray(cells)
     neighbors, table, size = jnp.asarray(neighbors), posts(positions), len(which)

@@ -74,7 +74,7 @@ def find_changed(
     cells = near.around[movers]
     pairs = cells.ravel()
     own, reach = pick(state.place, pairs[:, None]), state.reach[pairs]
-    grid = jax.tree.map(lambda table: table[:, 0], see_lines(lines, model.tube, reach.dtype))
+    grid = jax.tree.map(lambda table: table[:, 0], see_lines(lines, reach.dtype))
     facing = jnp.where(reach > -jnp.inf, reach + 1e-5 * (model.tube.basal_radius + jnp.abs(reach)), reach)
 
     def undercuts(movers: Posts, facing: Array) -> Array:

@@ -21,7 +21,7 @@ class Resolution(NamedTuple):
 
 
 REACH = 1.5  # mean cell widths on either side of a backbone that the first window of lines covers
-MARGIN = 0.37  # about (sqrt(3) - 1) / 2, of the best rules for natural splines
+INSET = 0.37  # about (sqrt(3) - 1) / 2, of the best rules for natural splines
 PRESETS = {"draft": Resolution(3, 3), "standard": Resolution(6, 8), "fine": Resolution(10, 10)}
 
 
@@ -54,7 +54,8 @@ class Lines(eqx.Module):
     t_i + m 2 pi / circle[k], in windows of |m| <= half[k] and, for a cell that goes on beyond, in the windows
     to either side. So every cell sees its own backbone's line, and what is measured depends neither on how
     the tube is turned nor on how wide the windows are. With `surfaces`, two more layers lie on the apical and
-    basal surface, of weight 0. Only the windows' widths are static: tubes of other radii need no new program.
+    basal surface, of weight 0. The lines are those of one tube; as only the windows' widths are static, those
+    of another need no new program, and those of several can be stacked.
     """
 
     radius: Float[Array | np.ndarray, "layers"]
@@ -122,7 +123,7 @@ def layer_rule(tube: Tube, layers: int) -> tuple[Float[np.ndarray, "layers"], Fl
     """Radii and weights of the layers: the integral over (R_a, R_b) of the natural cubic spline through them.
 
     A cell's section S(r) is no polynomial: its second derivative jumps wherever the cell changes neighbors,
-    and most often near the lumen. So layers are equally spaced in sqrt(r), the first and last MARGIN of a
+    and most often near the lumen. So layers are equally spaced in sqrt(r), the first and last INSET of a
     spacing from the surfaces. Exact for what is linear in r, such as the sum over all cells.
 
     >>> radius, weight = layer_rule(Tube(1, 1, 4), 3)
@@ -132,7 +133,7 @@ def layer_rule(tube: Tube, layers: int) -> tuple[Float[np.ndarray, "layers"], Fl
     inner, outer = float(tube.apical_radius), float(tube.basal_radius)
     if layers == 1:
         return np.array([(inner + outer) / 2]), np.array([outer - inner])
-    share = (np.arange(layers) + MARGIN) / (layers - 1 + 2 * MARGIN)
+    share = (np.arange(layers) + INSET) / (layers - 1 + 2 * INSET)
     radius = (math.sqrt(inner) + (math.sqrt(outer) - math.sqrt(inner)) * share) ** 2
     spline = CubicSpline(radius, np.eye(layers), bc_type="natural")
     weight = spline.integrate(radius[0], radius[-1])

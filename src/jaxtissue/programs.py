@@ -1,7 +1,8 @@
 """Compiled programs: kept for all who are alike in shapes, and lifted over replicas and devices.
 
-What happens to one replica is written as for one, as a task: a generator that yields a `Request` wherever it
-needs something compiled. Tasks go on turn by turn, and requests of one turn that are alike run together.
+What happens to one replica is written as for one, as a task: a generator that yields a `Request` where it
+needs something compiled, and `Ahead` for what it will need. Tasks go on turn by turn; requests of one turn that
+are alike run together.
 """
 
 import functools
@@ -43,7 +44,7 @@ class Ahead(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What a request gave, as NumPy arrays, and the seconds that compiling took of it."""
+    """What a request gave, as NumPy arrays, and the seconds that it waited for a program."""
 
     result: Any
     compile_seconds: float
@@ -132,21 +133,30 @@ def _run_alike(function: Callable, calls: Sequence[tuple], slots: int, devices: 
     program = PROGRAMS.get(known)
     if program is None or isinstance(program, Future):
         begin = time.perf_counter()
-        program = program.result() if program else _compile(function, mesh, batch)
+        if program is None or program.exception():
+            program = _lowered(function, mesh, batch).compile()
+        else:
+            program = program.result()
         PROGRAMS[known] = program
         compiling = time.perf_counter() - begin
     results = jax.tree.map(np.asarray, program(*batch))
     return [Answer(jax.tree.map(lambda leaf, at=at: leaf[at], results), compiling) for at in place]
 
 
-def _compile(function: Callable, mesh: Mesh, batch: tuple) -> Callable:
-    """The program for arguments of these shapes."""
-    return jax.jit(_lifted(function, mesh)).lower(*batch).compile()
+def _lowered(function: Callable, mesh: Mesh, batch: tuple) -> jax.stages.Lowered:
+    """The program for arguments of these shapes, to be compiled."""
+    return jax.jit(_lifted(function, mesh)).lower(*batch)
 
 
 def _compile_ahead(step: Ahead, slots: int, devices: int) -> None:
-    """Begin to compile a function for arguments like these, unless that was begun before."""
+    """Begin to compile a function for arguments like these, unless that was begun before.
+
+    It is traced here, under the settings of this thread. Accelerators try out kernels while they compile, and
+    are left alone.
+    """
     mesh = _mesh(devices)
+    if mesh.devices.flat[0].platform not in IN_TURN:
+        return
     sharding = NamedSharding(mesh, PartitionSpec(AXIS))
 
     def shape(leaf: np.ndarray) -> jax.ShapeDtypeStruct:
@@ -154,14 +164,9 @@ def _compile_ahead(step: Ahead, slots: int, devices: int) -> None:
 
     arguments = jax.tree.map(shape, _fitted(Request(*step), ()))
     batch = jax.ShapeDtypeStruct((slots,), np.dtype(bool), sharding=sharding), arguments
-    known, wide = (step.function, _shapes(batch), mesh), jax.config.jax_enable_x64
-
-    def work() -> Callable:
-        with jax.enable_x64(wide):  # a thread has a setting of its own
-            return _compile(step.function, mesh, batch)
-
+    known = step.function, _shapes(batch), mesh
     if known not in PROGRAMS:
-        PROGRAMS[known] = BESIDE.submit(work)
+        PROGRAMS[known] = BESIDE.submit(_lowered(step.function, mesh, batch).compile)
 
 
 @functools.cache

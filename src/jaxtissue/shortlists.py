@@ -34,7 +34,7 @@ def clearance(
     width = min(n, BLOCK)
     blocks = -(-n // width)
     place, lists = posts(positions), jnp.pad(sides, ((0, blocks * width - n), (0, 0), (0, 0)))
-    grid = jax.tree.map(lambda column: column[:, 0], see_lines(lines, tube, dtype))
+    grid = jax.tree.map(lambda column: column[:, 0], see_lines(lines, dtype))
 
     def block(start: Array) -> Array:
         which = start + jnp.arange(width)

@@ -108,14 +108,14 @@ def posts(positions: Float[Array | np.ndarray, "... 2"]) -> Posts:
     return Posts(jnp.asarray(positions[..., 0]), jnp.asarray(angle), jnp.cos(angle), jnp.sin(angle))
 
 
-def see_lines(lines: Lines, tube: Tube, dtype: np.dtype) -> Grid:
+def see_lines(lines: Lines, dtype: np.dtype) -> Grid:
     """The lines round each backbone, [lines, 1], in the middle window."""
     return see_angles(jnp.asarray(lines.radius, dtype)[lines.layer][:, None], lines.offset(dtype)[:, None])
 
 
-def see_window(lines: Lines, tube: Tube, dtype: np.dtype, shift: Int[Array, "cells"], truth: Array) -> Grid:
+def see_window(lines: Lines, dtype: np.dtype, shift: Int[Array, "cells"], truth: Array) -> Grid:
     """The lines round each backbone, [lines, cells], in windows onward: those of the middle one, turned."""
-    middle, turn = see_lines(lines, tube, dtype), lines.turn(dtype, shift)
+    middle, turn = see_lines(lines, dtype), lines.turn(dtype, shift)
     onward = settled(lambda: jax.lax.complex(jnp.cos(turn), jnp.sin(turn)), truth)
     return settled(lambda: Grid(middle.radius, middle.turned * onward[lines.layer]), truth)
 

@@ -1,6 +1,6 @@
 """Curves against the surface ratio beside the paper's numbers; each function returns (figure, axes).
 
-Tables are those of `experiments`. Bands are one standard deviation over the seeds.
+Tables are those of `ratios`. Bands are one standard deviation over the seeds.
 """
 
 from collections.abc import Sequence

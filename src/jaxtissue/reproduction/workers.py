@@ -10,13 +10,20 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any
 
 import jax
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
+
+from jaxtissue.memory import machine_memory
+
+ROOM = 2**31  # bytes of memory that a process is given
 
 
 def free_cores() -> int:
-    """How many cores this process may use; one where JAX has accelerators, which are not shared out."""
+    """How many processes the machine has cores and memory for; one where JAX has accelerators, which are not
+    shared out."""
     if jax.default_backend() != "cpu":
         return 1
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(cores, (machine_memory() or cores * ROOM) // ROOM))
 
 
 class Workers:
@@ -35,6 +42,7 @@ class Workers:
         if self.count > 1 and not jax.config.jax_compilation_cache_dir:
             self._compiled = tempfile.TemporaryDirectory(prefix="jaxtissue-", ignore_cleanup_errors=True)
             jax.config.update("jax_compilation_cache_dir", self._compiled.name)
+            reset_cache()  # JAX opens it once
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -42,6 +50,7 @@ class Workers:
             self._executor.shutdown(cancel_futures=True)
         if self._compiled:
             jax.config.update("jax_compilation_cache_dir", None)
+            reset_cache()
             self._compiled.cleanup()
 
     def run(
