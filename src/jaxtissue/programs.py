@@ -1,8 +1,8 @@
 """Compiled programs: kept for all who are alike in shapes, and lifted over replicas and devices.
 
 What happens to one replica is written as for one, as a task: a generator that yields a `Request` where it
-needs something compiled, and `Ahead` for what it will need. Tasks go on turn by turn; requests of one turn that
-are alike run together.
+needs something compiled, and `Ahead` for what it will need. Tasks go on turn by turn; requests of one turn
+that are alike run together.
 """
 
 import functools
