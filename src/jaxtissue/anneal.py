@@ -223,10 +223,11 @@ class Annealer:
 
     def _find(self, place: Float[Array, "n 2"], width: int) -> Int[np.ndarray, "n 2 candidates"]:
         """Complete candidate lists, at least of a width."""
-        begin, first = time.perf_counter(), self._last is None
+        begin = time.perf_counter()
         margin = MARGIN * float(move_bound(self.model, len(place)))
         sides = find_candidates(place, self.model.tube, margin)
-        self.compile_seconds += (time.perf_counter() - begin) * first
+        if self._last is None or sides.shape[2] > width:  # a check of new shapes, which is compiled
+            self.compile_seconds += time.perf_counter() - begin
         return padded(sides, max(width, -(-sides.shape[2] // 24) * 24))
 
     def _rounds(self, state: AnnealState) -> Task[Plan]:

@@ -18,7 +18,7 @@ from jaxtissue.lines import PRESETS, Resolution, plan_lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import LEVEL, Posts, posts, see_angles, see_rivals, settled, stop, walls
 
-NEAREST = 96  # backbones that are candidates of each cell, half of them a side, unless it needs more
+NEAREST = 96  # backbones that are candidates of each cell, at most three quarters of them a side
 TILES = 1e-5  # relative defect of the lengths along a line above which lists are taken as incomplete
 
 _measure = jax.jit(measure_cells)
@@ -50,9 +50,10 @@ def find_candidates(
     count = NEAREST
     while True:
         lists = nearest(positions, tube, count)
-        # cells at the ends have them all on one side, and would double the width of the lists
-        sides = sided(lists, positions, tube, margin, most=count // 2)
-        if count // 2 >= len(positions) - 1 or tiling_defect(positions, tube, sides) < TILES:
+        # those at the ends have all on one side, which would make the lists a third wider
+        most = 3 * count // 4
+        sides = sided(lists, positions, tube, margin, most=most)
+        if most >= len(positions) - 1 or tiling_defect(positions, tube, sides) < TILES:
             return sides
         count *= 2
 

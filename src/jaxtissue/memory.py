@@ -18,7 +18,7 @@ def estimate_memory(
 ) -> int:
     """Peak memory of an annealing run in bytes: a base, and so much for each cell of each replica.
 
-    base + replicas n (2 looks + lists + state + one round's tables): a look has for each of 2 x 48 candidates
+    base + replicas n (2 looks + lists + state + one round's tables): a look has for each of 2 x 72 candidates
     its number, on host and device, its clearance, and two flags, and the reach on each line. Fitted to
     peaks by `draft` on one CPU: 2,030 MiB at n = 50,000 from random backbones (1,370 MiB from annealed ones).
 
@@ -28,7 +28,7 @@ def estimate_memory(
     """
     lines = len(plan_lines(tube, cells, resolution).number)
     reach = 2 * lines * float_bytes
-    listed = NEAREST
+    listed = 3 * NEAREST // 2
     look = listed * (4 + 4 + float_bytes + 2) + reach
     around = 4 * CANDIDATES  # as many again have the cell on their lists
     lists = 4 * (2 * CANDIDATES + around)
