@@ -211,10 +211,10 @@ class Annealer:
 
     def _expect_play(self, state: AnnealState) -> Ahead:
         """What `play` will be asked for, with lists and rounds as wide as they are likely to be."""
-        n, dtype = len(state.positions), state.positions.dtype
-        blank, lines = np.zeros(n, dtype), self._plan(n)
-        place = Posts(*4 * [blank])
-        tissue = TissueState(place, blank, blank, np.zeros((n, 2, len(lines.number)), dtype), blank > 0)
+        n, dtype, lines = len(state.positions), state.positions.dtype, self._plan(len(state.positions))
+        blank: Any = np.zeros(n, dtype)
+        reach: Any = np.zeros((n, 2, len(lines.number)), dtype)
+        tissue = TissueState(Posts(blank, blank, blank, blank), blank, blank, reach, blank > 0)
         width = max(least_around(n), state.widths[1])
         near = Neighborhoods(np.zeros((n, width), np.int32), np.zeros((n, 2, CANDIDATES), np.int32))
         rounds = np.zeros((n, 1) if self.algorithm == "mh" else (1, round_width(n)), np.int32)

@@ -24,7 +24,7 @@ def estimate_memory(
 
     >>> tube = Tube(length=1000, apical_radius=1, basal_radius=10)
     >>> print(describe_bytes(estimate_memory(5000, tube, Resolution(3, 3))))
-    0.6 GB
+    0.7 GB
     """
     lines = len(plan_lines(tube, cells, resolution).number)
     reach = 2 * lines * float_bytes

@@ -74,7 +74,7 @@ def run_together(tasks: Sequence[Task[T]], slots: int = 0) -> list[T]:
                 step = tasks[number].send(answer)
                 while isinstance(step, Ahead):
                     _compile_ahead(step, slots, devices)
-                    step = tasks[number].send(None)
+                    step = tasks[number].send(Answer(None, 0.0))
                 asked[number] = step
             except StopIteration as end:
                 ends[number] = end.value

@@ -15,6 +15,7 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from jaxtissue.memory import machine_memory
 
 ROOM = 2**31  # bytes of memory that a process is given
+CONFIG: Any = jax.config  # its settings are not declared
 
 
 def free_cores() -> int:
@@ -39,7 +40,7 @@ class Workers:
         self._compiled: tempfile.TemporaryDirectory | None = None
 
     def __enter__(self) -> "Workers":
-        if self.count > 1 and not jax.config.jax_compilation_cache_dir:
+        if self.count > 1 and not CONFIG.jax_compilation_cache_dir:
             self._compiled = tempfile.TemporaryDirectory(prefix="jaxtissue-", ignore_cleanup_errors=True)
             jax.config.update("jax_compilation_cache_dir", self._compiled.name)
             reset_cache()  # JAX opens it once
@@ -79,7 +80,7 @@ class Workers:
                 self.count,
                 multiprocessing.get_context("spawn"),  # JAX's threads do not survive a fork
                 _set_up,
-                (jax.config.jax_compilation_cache_dir, jax.config.jax_enable_x64),
+                (CONFIG.jax_compilation_cache_dir, CONFIG.jax_enable_x64),
             )
         return self._executor
 
