@@ -25,7 +25,7 @@ from jaxtissue.spans import look
 
 CASES = ("R_a = 1", "R_a = 5")
 CALLS = 5  # timed in a row; their median is the answer
-_measure = jax.jit(lambda *arguments: jt.measure_cells(*arguments)[0])  # sizes, and no survey
+measure_sizes = jax.jit(lambda *arguments: jt.measure_cells(*arguments)[0])  # and no survey
 
 
 @cache
@@ -80,7 +80,7 @@ def diagram(case: str, kind: str, size: Any) -> Callable[[], tuple[Any, Any]]:
 
     def measure() -> tuple[Any, Any]:
         near = jnp.asarray(jt.find_candidates(place, tube)) if sides is None else sides
-        cells = _measure(positions, tube, lines, near)
+        cells = measure_sizes(positions, tube, lines, near)
         return cells.volume, cells.lateral_area
 
     return measure

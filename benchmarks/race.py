@@ -14,7 +14,7 @@ import common
 import jax
 import jax.numpy as jnp
 import numpy as np
-from contenders import shortlists
+from contenders import measure_sizes, shortlists
 from peer import Peer, find_peer
 
 import jaxtissue as jt
@@ -26,7 +26,6 @@ WARM_UP = (
     2 * SPAN
 )  # sweeps before those that are timed as typical: in the first, lists are renewed after each
 SWEEPS = WARM_UP + 2 * SPAN
-_measure = jax.jit(lambda *arguments: jt.measure_cells(*arguments)[0])  # sizes, and no survey
 
 
 def our_diagram(place: np.ndarray, tube: jt.Tube, size: jt.Resolution, kept: jax.Array) -> dict[str, Any]:
@@ -34,12 +33,12 @@ def our_diagram(place: np.ndarray, tube: jt.Tube, size: jt.Resolution, kept: jax
     positions, seconds, sizes = jnp.asarray(place), [], None
     begin = time.perf_counter()
     sides = jnp.asarray(jt.find_candidates(place, tube))
-    jax.block_until_ready(_measure(positions, tube, jt.plan_lines(tube, len(place), size), sides))
+    jax.block_until_ready(measure_sizes(positions, tube, jt.plan_lines(tube, len(place), size), sides))
     scratch = time.perf_counter() - begin
     lines = jt.plan_lines(tube, len(place), size)
     for _ in range(5):
         begin = time.perf_counter()
-        sizes = jax.block_until_ready(_measure(positions, tube, lines, kept))
+        sizes = jax.block_until_ready(measure_sizes(positions, tube, lines, kept))
         seconds.append(time.perf_counter() - begin)
     assert sizes
     row = {"sizes": (sizes.volume, sizes.lateral_area)}

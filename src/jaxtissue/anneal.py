@@ -206,7 +206,7 @@ class Annealer:
 
     @property
     def _has_few_rounds(self) -> bool:
-        """Whether a sweep is sure to have no more rounds than the least that are made room for."""
+        """Whether a sweep most likely has no more rounds than the least that are made room for."""
         return self.algorithm == "mh" or self.conflicts in ("near", "2-hop")
 
     def _expect_play(self, state: AnnealState) -> Ahead:
@@ -228,7 +228,7 @@ class Annealer:
         sides = find_candidates(place, self.model.tube, margin)
         if self._last is None or sides.shape[2] > width:  # a check of new shapes, which is compiled
             self.compile_seconds += time.perf_counter() - begin
-        return padded(sides, max(width, -(-sides.shape[2] // 24) * 24))
+        return padded(sides, width)
 
     def _rounds(self, state: AnnealState) -> Task[Plan]:
         """For each sweep of a span the order of its moves: one by one, or in independent sets."""

@@ -18,7 +18,8 @@ from jaxtissue.lines import PRESETS, Resolution, plan_lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import LEVEL, Posts, posts, see_angles, see_rivals, settled, stop, walls
 
-NEAREST = 96  # backbones that are candidates of each cell, at most three quarters of them a side
+NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
+A_SIDE = 72  # of them at most on one side, where cells at the ends of the tube have all
 TILES = 1e-5  # relative defect of the lengths along a line above which lists are taken as incomplete
 
 _measure = jax.jit(measure_cells)
@@ -50,8 +51,7 @@ def find_candidates(
     count = NEAREST
     while True:
         lists = nearest(positions, tube, count)
-        # those at the ends have all on one side, which would make the lists a third wider
-        most = 3 * count // 4
+        most = A_SIDE * count // NEAREST
         sides = sided(lists, positions, tube, margin, most=most)
         if most >= len(positions) - 1 or tiling_defect(positions, tube, sides) < TILES:
             return sides

@@ -3,7 +3,7 @@
 import os
 
 from jaxtissue.anneal import CANDIDATES
-from jaxtissue.candidates import NEAREST
+from jaxtissue.candidates import A_SIDE
 from jaxtissue.lines import Resolution, plan_lines
 from jaxtissue.rounds import ROUNDS
 from jaxtissue.tube import Tube
@@ -28,7 +28,7 @@ def estimate_memory(
     """
     lines = len(plan_lines(tube, cells, resolution).number)
     reach = 2 * lines * float_bytes
-    listed = 3 * NEAREST // 2
+    listed = 2 * A_SIDE
     look = listed * (4 + 4 + float_bytes + 2) + reach
     around = 4 * CANDIDATES  # as many again have the cell on their lists
     lists = 4 * (2 * CANDIDATES + around)
