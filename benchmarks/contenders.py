@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxtissue as jt
-from jaxtissue.anneal import CANDIDATES, SPARSE
-from jaxtissue.shortlists import nearest_sides
+from jaxtissue.anneal import CANDIDATES, sparser
+from jaxtissue.shortlists import mirror, nearest_sides
 from jaxtissue.spans import look
 
 CASES = ("R_a = 1", "R_a = 5")
@@ -48,10 +48,11 @@ def lists(case: str, kind: str) -> jax.Array:
 
 def shortlists(place: np.ndarray, tube: jt.Tube, sides: np.ndarray) -> np.ndarray:
     """Of complete candidates the 24 a side that the annealer keeps for some sweeps."""
-    lines = [jt.plan_lines(tube, len(place), size) for size in (jt.PRESETS["standard"], SPARSE)]
-    model = jt.tube_model(tube, len(place))
-    _, clear = jax.jit(look)(jnp.asarray(place), model, (lines[0], lines[1]), jnp.asarray(sides))
-    return nearest_sides(sides, np.array(clear), CANDIDATES)
+    size = jt.PRESETS["standard"]
+    lines = jt.plan_lines(tube, len(place), size), jt.plan_lines(tube, len(place), sparser(size))
+    asked = jnp.asarray(place), jt.tube_model(tube, len(place)), lines, jnp.asarray(sides), mirror(sides)
+    _, clear = jax.jit(look)(*asked)
+    return nearest_sides(sides, np.asarray(clear), CANDIDATES)
 
 
 def diagram(case: str, kind: str, size: Any) -> Callable[[], tuple[Any, Any]]:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtissue.anneal import CANDIDATES, MARGIN, SPARSE
+from jaxtissue.anneal import CANDIDATES, MARGIN, sparser
 from jaxtissue.candidates import (
     NEAREST,
     contact_graph,
@@ -18,11 +18,21 @@ from jaxtissue.candidates import (
     spacing,
     tiling_defect,
 )
+from jaxtissue.cells import measure_cells
 from jaxtissue.energy import tube_model
 from jaxtissue.exact import exact_cells
 from jaxtissue.lines import PRESETS, plan_lines
 from jaxtissue.metropolis import move_bound
-from jaxtissue.shortlists import STOPS, TOUCHES, around, find_unlisted, list_first, nearest_sides
+from jaxtissue.shortlists import (
+    STOPS,
+    TOUCHES,
+    around,
+    find_unlisted,
+    list_first,
+    mirror,
+    nearest_sides,
+    ranked,
+)
 from jaxtissue.spans import look
 from jaxtissue.tube import Tube
 from jaxtissue.walls import LEVEL
@@ -39,8 +49,9 @@ def tissue():
     """300 cells, their candidates, which of these stop them, how clear the others are, and all contacts."""
     positions = TUBE.random_positions(jax.random.key(3), CELLS)
     sides = find_candidates(positions, TUBE, MARGIN * BOUND)
-    lines = plan_lines(TUBE, CELLS, PRESETS["draft"]), plan_lines(TUBE, CELLS, SPARSE)
-    seen, clear = jax.jit(look)(positions, tube_model(TUBE, CELLS), lines, sides)
+    lines = plan_lines(TUBE, CELLS, PRESETS["draft"]), plan_lines(TUBE, CELLS, sparser(PRESETS["draft"]))
+    _, seen = jax.jit(measure_cells)(positions, TUBE, lines[0], sides)
+    _, clear = jax.jit(look)(positions, tube_model(TUBE, CELLS), lines, sides, mirror(sides))
     return positions, sides, np.asarray(seen.touched), np.asarray(clear), contact_graph(sides, seen.touched)
 
 
@@ -114,9 +125,11 @@ def test_padding_is_the_cell_itself(tissue) -> None:
 @pytest.mark.parametrize("count", [1, 7, 24, 40])
 def test_the_least_are_those_a_stable_sort_puts_first(count: int) -> None:
     random = np.random.default_rng(count)
-    scores = random.choice([TOUCHES, STOPS, 0.0, 1e-20, 0.5, 1e20, np.inf], size=(30, 2, 33))
-    scores = np.where(random.random(scores.shape) < 0.5, scores, random.normal(size=scores.shape))
-    expected = np.argsort(scores.astype(np.float32), axis=2, kind="stable")[..., :count]
+    scores = random.choice([TOUCHES, STOPS, 1e-20, 0.5, 1e20, np.inf], size=(30, 2, 33))
+    scores = np.where(random.random(scores.shape) < 0.5, scores, random.exponential(size=scores.shape))
+    # as they are compared: 33 columns are numbered by 6 bits
+    compared = (scores.astype(np.float32).view(np.int32) & ~63).view(np.float32)
+    expected = np.argsort(compared, axis=2, kind="stable")[..., :count]
     np.testing.assert_array_equal(np.sort(least(scores, count)), np.sort(expected))
 
 
@@ -155,10 +168,36 @@ def test_the_clearest_candidates_are_left_out(tissue) -> None:
     assert (clear[~touched] >= STOPS).all()
     few = nearest_sides(sides, clear, CANDIDATES)
     assert few.shape == (CELLS, 2, CANDIDATES)
-    assert not len(find_unlisted(touched, sides, few))
+    assert not len(find_unlisted(np.arange(CELLS), clear, sides, few))
     kept = (sides != own) & listed_on(sides, few)
     nearer = np.where(kept, clear, -np.inf).max(axis=2)
-    assert (nearer <= np.where(kept | (sides == own), np.inf, clear).min(axis=2)).all()
+    # ranks are compared to fewer bits than a float has
+    assert (nearer <= 1.001 * np.where(kept | (sides == own), np.inf, clear).min(axis=2)).all()
+
+
+def test_both_views_of_a_pair_count(tissue) -> None:
+    _, sides, _, _, _ = tissue
+    back = mirror(sides)
+    lists = sides.reshape(-1, sides.shape[2])
+    row, _ = np.divmod(np.arange(sides.size), sides.shape[2])
+    there, where = np.divmod(back.reshape(-1), sides.shape[2])
+    found = back.reshape(-1) != np.arange(sides.size)
+    assert 0.5 < found[(lists != np.arange(2 * CELLS)[:, None] // 2).reshape(-1)].mean() < 1
+    assert (there[found] // 2 == lists.reshape(-1)[found]).all() and (
+        there[found] % 2 != row[found] % 2
+    ).all()
+    assert (lists[there[found], where[found]] == row[found] // 2).all()
+    clear = np.random.default_rng(0).uniform(1, 2, sides.shape).astype(np.float32)
+    touched = np.zeros(clear.shape, bool)
+    first = np.unravel_index(np.flatnonzero(found)[0], sides.shape)
+    other = np.unravel_index(back[first], sides.shape)
+    touched[first] = True
+    rank = np.array(ranked(clear, touched, touched & False, back))
+    # whom it touches is touched by it, as far as ranks go, but not seen to be
+    assert rank[first] == TOUCHES and rank[other] == np.float32(STOPS)
+    expected = np.minimum(clear, clear.reshape(-1)[back])
+    expected[first], expected[other] = rank[first], rank[other]
+    np.testing.assert_array_equal(rank, expected)
 
 
 def test_few_candidates_do_for_a_while(tissue) -> None:
@@ -178,16 +217,18 @@ def listed_on(sides: np.ndarray, few: np.ndarray) -> np.ndarray:
 
 
 def test_who_lacked_a_rival_is_listed_first(tissue) -> None:
-    _, sides, touched, clear, _ = tissue
-    clear = np.abs(clear)  # as if none had been seen to stop a cell
-    few = nearest_sides(sides, clear, 3)
-    pairs = find_unlisted(touched, sides, few)
-    assert len(pairs) and not (sides[pairs[:, 0]] == -1).any()
-    assert list_first(pairs, sides, clear)
-    assert not list_first(pairs, sides, clear)  # no news
-    again = nearest_sides(sides, clear, 24)
-    assert (again[pairs[:, 0]] == pairs[:, 1][:, None, None]).any(axis=(1, 2)).all()
-    assert (again[pairs[:, 1]] == pairs[:, 0][:, None, None]).any(axis=(1, 2)).all()
+    _, sides, _, clear, _ = tissue
+    blind = np.where(clear == TOUCHES, 1.0, clear).astype(
+        np.float32
+    )  # as if none had been seen to stop a cell
+    few = nearest_sides(sides, blind, 3)
+    pairs = find_unlisted(np.arange(10, CELLS), clear, sides, few)
+    assert len(pairs) and (pairs[:, 0] >= 10).all()
+    assert list_first(pairs, sides, blind)
+    assert not list_first(pairs, sides, blind)  # no news
+    again = nearest_sides(sides, blind, 24)
+    for cell, rival in pairs:
+        assert (again[cell] == rival).any() and (again[rival] == cell).any()
 
 
 def test_all_around_a_cell_are_those_listed_either_way(tissue) -> None:

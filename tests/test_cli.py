@@ -198,7 +198,7 @@ def test_a_signal_ends_the_span_saves_and_leaves(annealed, tmp_path, monkeypatch
     folder, advance = tmp_path / "stopped", Annealer.advance
 
     def interrupted(annealer, state):
-        if state.sweep == 30:  # and so in the span up to the 35th
+        if state.sweep == 30:  # and so in the span up to the 40th
             signal.raise_signal(number)
         return advance(annealer, state)
 
@@ -206,10 +206,10 @@ def test_a_signal_ends_the_span_saves_and_leaves(annealed, tmp_path, monkeypatch
         patch.setattr(Annealer, "advance", interrupted)
         assert main([*LONG, "--out", str(folder)]) == 128 + number
     error = capsys.readouterr().err
-    assert f"stopped by {number.name} after sweep 35 of 80" in error and "--resume" in error
+    assert f"stopped by {number.name} after sweep 40 of 80" in error and "--resume" in error
     assert (
         io.load_checkpoint(folder / "checkpoint.npz").state.sweep
-        == 35
+        == 40
         == count_rows(folder / "sweeps.csv") - 1
     )
     assert not list(folder.glob(".*")) and not (folder / "backbones.csv").exists()

@@ -9,7 +9,6 @@ from scipy import stats
 from jaxtissue.anneal import CANDIDATES, SPAN, Annealer
 from jaxtissue.candidates import padded, sided
 from jaxtissue.cells import measure_cells
-from jaxtissue.changes import tissue_state
 from jaxtissue.coloring import color, hop_conflicts
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import PRESETS
@@ -35,8 +34,8 @@ class Bench:
         self.start = self.annealer.start(TUBE.random_positions(jax.random.key(1), CELLS))
         measured, plan = run_together([self.annealer._measure(self.start), self.annealer._rounds(self.start)])
         self.lines = self.annealer._plan(CELLS)
-        self.near = shortlisted(measured.sides, measured.clear, 0.0, (CANDIDATES, 0))
-        self.tissue = tissue_state(jnp.asarray(self.start.positions), measured.seen)
+        self.near = shortlisted(measured.sides, measured.clear, (CANDIDATES, 0))
+        self.tissue = measured.tissue
         self.width = plan[0].shape[1]  # so that all share the run's program
         self.rounds = color(hop_conflicts(measured.contacts(), 3), self.width)
         self.measure = jax.jit(measure_cells)

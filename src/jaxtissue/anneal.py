@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxtissue.candidates import find_candidates, padded
 from jaxtissue.cells import CellGeometry
-from jaxtissue.changes import Neighborhoods, TissueState, tissue_state
+from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.coloring import CONFLICTS
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines, Resolution, plan_lines
@@ -19,20 +19,24 @@ from jaxtissue.metropolis import move_bound
 from jaxtissue.programs import Ahead, Request, Task, run_together
 from jaxtissue.records import Measured, SweepRecord, least_around, shortlisted, sweep_record
 from jaxtissue.rounds import independent_rounds, one_by_one, padded_orders, round_width
-from jaxtissue.shortlists import find_unlisted, list_first
+from jaxtissue.shortlists import find_unlisted, list_first, mirror
 from jaxtissue.spans import Trail, energy_terms, fit_play, look, play
 from jaxtissue.walls import Posts
 
 ALGORITHMS = ("is-mh", "mh")
-SPAN = 5  # the most sweeps between renewals of lists and rounds
+SPAN = 10  # the most sweeps between renewals of lists and rounds
 CANDIDATES = 24  # on each side of a cell during a sweep: three times as many as bound a cell
-NEAR = 3  # longest moves within which a candidate is on a shortlist if the cell is on its
 MARGIN = 4  # longest moves by which a candidate may lie on the other side of a cell
-SPARSE = Resolution(4, 2)  # lines on which it is seen how clear of a cell its candidates are
+SPARSE = 2.0  # lines per mean cell width on which it is seen how clear of a cell its candidates are
 SIGHT = 2.5  # mean cell widths to either side in which that is seen
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
 Plan = Sequence[Int[np.ndarray, "rounds width"]]  # the rounds of some sweeps
 Span = tuple["AnnealState", list[SweepRecord], Float[np.ndarray, "sweeps n 2"]]
+
+
+def sparser(resolution: Resolution) -> Resolution:
+    """That on which it is seen how clear of cells their candidates are: the same layers, fewer lines."""
+    return Resolution(resolution.layers, SPARSE)
 
 
 def renews_at(sweep: int) -> bool:
@@ -129,9 +133,9 @@ class Annealer:
         halves, with lists renewed between them, where it was not even among those looked at before.
         """
         measured = yield from self._measure(state)
-        clear, within = measured.clear.copy(), NEAR * float(move_bound(self.model, len(state.positions)))
+        clear = measured.clear.copy()
         while True:
-            near = shortlisted(measured.sides, clear, within, (CANDIDATES, state.widths[1]))
+            near = shortlisted(measured.sides, clear, (CANDIDATES, state.widths[1]))
             after, trail = yield from self._play_on(near, state, measured, plan[:sweeps])
             fresh = yield from self._measure(after)
             missing = self._missing(fresh, near, trail)
@@ -155,9 +159,8 @@ class Annealer:
         orders, sweeps = padded_orders(plan, SPAN, near), len(plan)
         temperatures = np.zeros(SPAN, state.positions.dtype)
         temperatures[:sweeps] = self.temperatures[state.sweep : state.sweep + sweeps]
-        tissue = yield from self._ask(Request(tissue_state, (state.positions, measured.seen)))
         draw, lines = (np.uint32(self.seed), np.int32(state.sweep)), self._plan(len(state.positions))
-        arguments = (*draw, tissue, self.model, temperatures, near, orders, lines)
+        arguments = (*draw, measured.tissue, self.model, temperatures, near, orders, lines)
         needs = near.around.shape[1], orders.rounds.shape[1]
         _, trail = yield from self._ask(Request(play, arguments, needs, fit_play))
         trail = jax.tree.map(lambda leaf: leaf[:sweeps], trail)
@@ -167,8 +170,8 @@ class Annealer:
     def _missing(self, fresh: Measured, near: Neighborhoods, trail: Trail) -> Int[np.ndarray, "pairs 2"]:
         """Cells not as they were carried along, and those who stop them without having been listed."""
         off = np.abs(fresh.sizes[:, 0] - [trail.volume[-1], trail.lateral_area[-1]]).max(axis=0)
-        pairs = find_unlisted(np.asarray(fresh.seen.touched), fresh.sides, np.asarray(near.sides))
-        return pairs[off[pairs[:, 0]] > self._exactness]
+        cells = np.flatnonzero(off > self._exactness)
+        return find_unlisted(cells, fresh.clear, fresh.sides, np.asarray(near.sides))
 
     def _play_halves(
         self, state: AnnealState, plan: Plan, sweeps: int
@@ -198,10 +201,11 @@ class Annealer:
             yield self._expect_play(state)
         sides = self._find(jnp.asarray(state.positions), state.widths[0])
         n = len(state.positions)
-        lines = self._plan(n), plan_lines(self.model.tube, n, SPARSE, SIGHT)
+        lines = self._plan(n), plan_lines(self.model.tube, n, sparser(self.resolution), SIGHT)
         # lists are not padded to those of others: their width sets how finely `stop` compares
-        seen, clear = yield from self._ask(Request(look, (state.positions, self.model, lines, sides)))
-        self._last = state, Measured(seen, sides, clear)
+        asked = state.positions, self.model, lines, sides, mirror(sides)
+        tissue, clear = yield from self._ask(Request(look, asked))
+        self._last = state, Measured(tissue, sides, clear)
         return self._last[1]
 
     @property

@@ -91,20 +91,20 @@ def nearest(
 
 
 def least(scores: Float[np.ndarray, "... columns"], count: int) -> Int[np.ndarray, "... count"]:
-    """Columns of the `count` lowest scores of each row in order, to single precision; of equals the first.
+    """Columns of about the `count` lowest scores of each row, in order; scores are at least 0.
 
-    Score and column are coded as one integer, since a partition of those is fast, and says which of equals.
+    Score and column are coded as one integer, since a partition of those is fast. So scores are compared to
+    as many bits less than single precision has as number the columns; of equals the first is the lower.
 
-    >>> least(np.array([[3.0, -1.0, np.inf, -2.0, 3.0]]), 3)
-    array([[3, 1, 0]])
+    >>> least(np.array([[3.0, 1.0, np.inf, 0.0, 3.0]]), 3)
+    array([[3, 1, 0]], dtype=int32)
     """
     count = min(count, scores.shape[-1])
-    bits = np.asarray(scores, np.float32).view(np.int32).astype(np.int64)
-    bits = np.where(bits < 0, -(bits & 0x7FFFFFFF), bits)  # as integers in the order of the floats
-    shift = (scores.shape[-1] - 1).bit_length()
-    coded = (bits << shift) | np.arange(scores.shape[-1])
+    columns = (1 << (scores.shape[-1] - 1).bit_length()) - 1
+    coded = np.asarray(scores, np.float32).view(np.int32) & ~columns
+    coded |= np.arange(scores.shape[-1], dtype=np.int32)
     coded.partition(max(count - 1, 0), axis=-1)
-    return np.sort(coded[..., :count], axis=-1) & ((1 << shift) - 1)
+    return np.sort(coded[..., :count], axis=-1) & columns
 
 
 def spacing(place: np.ndarray, first: np.ndarray, second: np.ndarray, tube: Tube) -> np.ndarray:

@@ -10,9 +10,10 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxtissue.cells import BLOCK, CellGeometry, Survey, measure_window, through_windows
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines
-from jaxtissue.walls import LEVEL, Posts, Rivals, meeting, posts, see_lines
+from jaxtissue.walls import LEVEL, Posts, Rivals, meeting, posts, see_lines, settled
 
 ROOM = 20  # cells that a move may change, on average over a round: twice as many as it does
+SLACK = 1e-5  # of a reach and of R_b, by which a wall may miss a cell and counts as bounding it
 
 
 class Neighborhoods(NamedTuple):
@@ -66,36 +67,44 @@ def find_changed(
 ) -> tuple[Bool[Array, "width around+1"], Bool[Array, "width around+1"]]:
     """Which of the cells around a mover, and (last) itself, its move changes, and which else it might.
 
-    A cell changes where the mover stops it now, or would stop it short of its present reach. The first test
-    has a tolerance: a cell more is measured for nothing, a cell less would be a stale one. Of a cell that
-    goes on beyond its middle window that is not known.
+    A cell changes where the mover stops it now, or would stop it short of its present reach, with a
+    tolerance: a cell more is measured for nothing, a cell less would be a stale one. That is not known of a
+    cell that goes on beyond its middle window, nor of one whose wall against the mover is parallel to the
+    axis.
     """
     model, lines = rules
-    cells = near.around[movers]
+    tube, cells = model.tube, near.around[movers]
     pairs = cells.ravel()
-    own, reach = pick(state.place, pairs[:, None]), state.reach[pairs]
+    own, reach = pick(state.place, pairs), state.reach[pairs]
     grid = jax.tree.map(lambda table: table[:, 0], see_lines(lines, reach.dtype))
-    facing = jnp.where(reach > -jnp.inf, reach + 1e-5 * (model.tube.basal_radius + jnp.abs(reach)), reach)
+    truth = own.axial[0] > -1
 
-    def undercuts(movers: Posts, facing: Array) -> Array:
-        mover = Posts(*(jnp.repeat(column, cells.shape[1])[:, None] for column in movers))
+    def against(place: Posts) -> tuple[Rivals, Array, Array]:
+        """The movers as rivals of those around them, sooner by the tolerance; who are ahead, who level."""
+        mover = Posts(*(jnp.repeat(column, cells.shape[1]) for column in pick(place, movers)))
         gap, cosine = mover.axial - own.axial, mover.cosine * own.cosine + mover.sine * own.sine
         sine = mover.sine * own.cosine - mover.cosine * own.sine
-        level = LEVEL * model.tube.apical_radius * jnp.sqrt(sine**2 + (1 - cosine) ** 2)
-        half = jnp.maximum(jnp.maximum(jnp.abs(gap), level), 1e-30) / 2
-        meets = meeting(grid, Rivals(half, 0.25 / half, cosine, sine), model.tube)
-        # one that is level may change sides
-        both = jnp.abs(gap) <= level
-        behind, ahead = facing[:, 0], facing[:, 1]
-        return meets <= jnp.where(both, jnp.maximum(behind, ahead), jnp.where(gap > 0, ahead, behind))
+        floor = LEVEL * tube.apical_radius * jnp.sqrt(sine**2 + (1 - cosine) ** 2)
+        apart = jnp.maximum(jnp.maximum(jnp.abs(gap), floor), 1e-30)
+        rivals = Rivals(apart / 2 - SLACK * tube.basal_radius, 0.5 / apart, cosine, sine)
+        return rivals, gap > 0, jnp.abs(gap) <= floor
 
-    touched = undercuts(pick(state.place, movers), facing) | undercuts(pick(proposed, movers), reach)
-    touched = (jnp.where(touched, 1.0, 0.0).max(axis=1) > 0).reshape(cells.shape)
-    real = (cells != movers[:, None]) & (movers >= 0)[:, None]
-    perhaps = real & ~touched & state.wide[cells]
+    now, then = (settled(lambda place=place: against(place), truth) for place in (state.place, proposed))
+
+    def undercuts(rivals: Rivals, is_ahead: Array) -> Array:
+        meets = meeting(grid, jax.tree.map(lambda column: column[:, None], rivals), tube)
+        return meets - SLACK * jnp.abs(meets) <= jnp.where(is_ahead[:, None], reach[:, 1], reach[:, 0])
+
+    touched = jnp.where(undercuts(*now[:2]) | undercuts(*then[:2]), 1.0, 0.0)
+    touched = (touched.max(axis=1) > 0).reshape(cells.shape)
     moves = (movers >= 0)[:, None]
-    touched = jnp.concatenate([real & touched, moves], axis=1)
-    return touched, jnp.concatenate([perhaps, jnp.zeros_like(moves)], axis=1)
+    real = (cells != movers[:, None]) & moves
+    level = (now[2] | then[2]).reshape(cells.shape)
+    perhaps = real & ~touched & (state.wide[cells] | level)
+    return (
+        jnp.concatenate([real & touched, moves], axis=1),
+        jnp.concatenate([perhaps, jnp.zeros_like(moves)], axis=1),
+    )
 
 
 def room(changed: Bool[Array, "width around+1"]) -> int:
@@ -116,25 +125,32 @@ def find_collisions(changed: Array, movers: Array, near: Neighborhoods) -> Bool[
     return (changed & (first[cells] < order)).any(axis=1)
 
 
-def pack(
-    chosen: Bool[Array, "rows columns"], early: Bool[Array, "rows columns"], size: int
-) -> Int[Array, "size"]:
-    """The flat places of those chosen, the early ones first.
+def pack(chosen: Bool[Array, "..."], early: Bool[Array, "..."], size: int) -> Int[Array, "size"]:
+    """The flat places of at most `size` that are chosen, the early ones first.
 
-    Ranks within a row are a product with a triangle of ones: a third of the time of sorting.
+    Ranks within rows are products with a triangle of ones, of both kinds at once: a third of the time of
+    sorting. Stages are `settled`, else indices are taken apart by divisions, one by one.
     """
-    columns, exact = jnp.triu(jnp.ones(2 * (chosen.shape[1],))), jax.lax.Precision.HIGHEST
+    row = 64  # within which both counts fit into one number
+    chosen, early = chosen.ravel(), early.ravel()
+    truth, spare = chosen[0] <= size, (0, -chosen.size % row)
+    kind = settled(lambda: jnp.pad(jnp.where(chosen, jnp.where(early, 128.0, 1.0), 0.0), spare), truth)
+    kind = kind.reshape(-1, row)
+    upto = jnp.matmul(kind, jnp.triu(jnp.ones((row, row), kind.dtype)), precision=jax.lax.Precision.HIGHEST)
+    last = upto[:, -1].astype(jnp.int32)
+    counts = jnp.stack([last // 128, last % 128])
+    before = (
+        jnp.cumsum(counts, axis=1, dtype=jnp.int32) - counts
+    )  # not a product: that would be quadratic in the cells
+    before = before.at[1].add(counts[0].sum(dtype=jnp.int32)) - 1
 
-    def ranks(some: Array) -> tuple[Array, Array]:
-        within = jnp.matmul(some.astype(columns.dtype), columns, precision=exact)
-        upto = jnp.cumsum(within[:, -1])  # not a product: that would be quadratic in the cells
-        return (upto - within[:, -1])[:, None] + within - 1, upto[-1]
+    def ranks() -> Array:
+        within = upto.astype(jnp.int32)
+        rank = jnp.where(kind > 1, before[0][:, None] + within // 128, before[1][:, None] + within % 128)
+        return jnp.where(kind > 0, rank, size)
 
-    rank, count = ranks(chosen & early)
-    late, _ = ranks(chosen & ~early)
-    rank = jnp.where(early, rank, count + late).astype(jnp.int32)
-    places = jnp.arange(chosen.size, dtype=jnp.int32).reshape(chosen.shape)
-    return jnp.zeros(size, jnp.int32).at[jnp.where(chosen, rank, size)].set(places, mode="drop")
+    places = jnp.arange(kind.size, dtype=jnp.int32)
+    return jnp.zeros(size, jnp.int32).at[settled(ranks, truth).ravel()].set(places, mode="drop")
 
 
 def measure_changes(

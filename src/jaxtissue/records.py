@@ -7,29 +7,28 @@ from jaxtyping import Float, Int
 from scipy import sparse
 
 from jaxtissue.candidates import contact_graph, padded
-from jaxtissue.cells import Survey
-from jaxtissue.changes import Neighborhoods
+from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.metropolis import SweepInfo
-from jaxtissue.shortlists import TOUCHES, around, mutual, nearest_sides
+from jaxtissue.shortlists import TOUCHES, around, nearest_sides
 
 AROUND = 64  # who may be around a cell: room enough for most tissues
 
 
 class Measured(NamedTuple):
-    """A state measured: its cells, and what was seen on the way."""
+    """A state measured: its cells, the candidates of each, and how clear of it these are."""
 
-    seen: Survey
+    tissue: TissueState
     sides: Int[np.ndarray, "n 2 candidates"]
     clear: Float[np.ndarray, "n 2 candidates"]
 
     def contacts(self, within: float = 0.0) -> sparse.csr_array:
         """Who stops whom, or could if one of them were moved by at most `within`: [n, n], symmetric."""
-        return contact_graph(self.sides, self.clear < (within**2 if within else TOUCHES + 1))
+        return contact_graph(self.sides, self.clear <= (within**2 if within else TOUCHES))
 
     @property
     def sizes(self) -> Float[np.ndarray, "2 1 n"]:
         """Volumes and lateral areas of the cells."""
-        return np.stack([self.seen.sizes.volume, self.seen.sizes.lateral_area])[:, None]
+        return np.stack([self.tissue.volume, self.tissue.lateral_area])[:, None]
 
 
 class SweepRecord(NamedTuple):
@@ -84,16 +83,14 @@ def least_around(cells: int) -> int:
 def shortlisted(
     sides: Int[np.ndarray, "n 2 candidates"],
     clear: Float[np.ndarray, "n 2 candidates"],
-    within: float,
     sizes: tuple[int, int],
 ) -> Neighborhoods:
     """At most `sizes[0]` candidates a side for a few sweeps, and all around each cell, at least `sizes[1]`.
 
-    With room to grow, where that is not enough. A pair is ranked by the nearer of its two clearances, if that
-    is less than `within`.
+    With room to grow, where that is not enough.
     """
     count, width = sizes[0], max(sizes[1], least_around(len(sides)))
-    few = nearest_sides(sides, mutual(sides, clear, within), min(count, sides.shape[2]))
+    few = nearest_sides(sides, clear, min(count, sides.shape[2]))
     lists = around(few)
     if lists.shape[1] > width:
         width = -(-int(1.1 * lists.shape[1]) // 16) * 16

@@ -15,8 +15,9 @@ from jaxtissue.lines import Lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import FAR, Grid, Posts, larger, meeting, posts, see_lines, see_others, settled
 
-TINY = 1e-30
-TOUCHES, STOPS = -2, -1  # clearance of who touches a cell, and of who stops it on a line that bears no part
+TINY = 1e-20
+TOUCHES = 0.0  # clearance of who touches a cell
+STOPS = 1e-25  # of who stops it on a line that bears no part of it, below that of all others
 
 
 def clearance(
@@ -28,7 +29,7 @@ def clearance(
     To first order: d_j^2 - d_i^2 where the second in line would stop the cell, over its derivative,
     2 sqrt((x - x_j)^2 + (r s sin(t - t_j) / R_a)^2). Squared, and infinite where there is none. Those listed
     on the side where they are not yet are taken at the mirrored place. Who is far from stopping a cell now
-    will be for a while.
+    will be for a while. At least TINY.
     """
     n, dtype = len(positions), positions.dtype
     width = min(n, BLOCK)
@@ -56,7 +57,7 @@ def clearance(
             return jnp.where((first.sum(axis=0) > 0) & (way < least), way, least), None
 
         least, _ = jax.lax.scan(nearer, jnp.full(rivals.half.shape, jnp.inf, dtype), grid)
-        return jnp.where(rivals.half < FAR, least, jnp.inf).transpose(2, 1, 0)
+        return jnp.where(rivals.half < FAR, jnp.maximum(least, TINY), jnp.inf).transpose(2, 1, 0)
 
     least = jax.lax.map(block, width * jnp.arange(blocks))
     return least.reshape(blocks * width, *sides.shape[1:])[:n]
@@ -72,18 +73,33 @@ def nearest_sides(
     return padded(np.where(np.isfinite(clear), sides, own), count)
 
 
-def mutual(
-    sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"], within: float
-) -> Float[np.ndarray, "n 2 candidates"]:
-    """Clearances, of each pair nearer than `within` the smaller of both: first orders err on one side."""
-    at = np.flatnonzero(clear < within**2)
-    (cell, side), rival = divmod(at // sides.shape[2], 2), sides.reshape(-1)[at]
-    back = sides[rival, 1 - side] == cell[:, None]
-    listed = np.flatnonzero(back.any(axis=1))
-    where = rival[listed], 1 - side[listed], back[listed].argmax(axis=1)
-    both = clear.copy()
-    both[where] = np.minimum(both[where], clear.reshape(-1)[at[listed]])
-    return both
+def mirror(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n 2 candidates"]:
+    """Where in `sides`, as a flat place, each candidate has the cell among its own; else its own place."""
+    lists, n = sides.reshape(-1, sides.shape[2]), len(sides)
+    at = np.flatnonzero(lists != np.repeat(np.arange(n, dtype=np.int32), 2)[:, None]).astype(np.int32)
+    row = at // lists.shape[1]
+    back = 2 * lists.reshape(-1)[at] + 1 - row % 2  # the list of the other, on its side towards the cell
+    start = np.searchsorted(row, np.arange(2 * n + 1))
+    mirrored = sparse.csr_array((at + 1, back, start), shape=(2 * n, 2 * n)).T.tocsr()
+    places = mirrored.T.tocsr()  # so that both have the columns of a row in order
+    both = [
+        one.multiply(other.astype(bool)).data - 1 for one, other in ((places, mirrored), (mirrored, places))
+    ]
+    where = np.arange(sides.size, dtype=np.int32)
+    where[both[0]] = both[1]
+    return where.reshape(sides.shape)
+
+
+def ranked(
+    clear: Float[Array, "n 2 candidates"],
+    touched: Bool[Array, "n 2 candidates"],
+    stops: Bool[Array, "n 2 candidates"],
+    back: Int[Array, "n 2 candidates"],
+) -> Float[Array, "n 2 candidates"]:
+    """Clearances as candidates are chosen by: of `clearance` the smaller of both views of a pair, as first
+    orders err on one side; below them all the flags."""
+    clear = jnp.where(touched | stops, STOPS, clear)
+    return jnp.where(touched, TOUCHES, jnp.minimum(clear, clear.reshape(-1)[back]))
 
 
 def around(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n around"]:
@@ -102,13 +118,15 @@ def packed_rows(graph: sparse.csr_array) -> Int[np.ndarray, "n width"]:
 
 
 def find_unlisted(
-    touched: Bool[np.ndarray, "n 2 candidates"],
+    cells: Int[np.ndarray, "cells"],
+    clear: Float[np.ndarray, "n 2 candidates"],
     sides: Int[np.ndarray, "n 2 candidates"],
     few: Int[np.ndarray, "n 2 few"],
 ) -> Int[np.ndarray, "pairs 2"]:
-    """Cells and those who stop them without being on their shortlists."""
-    at = np.flatnonzero(touched)
-    (cell, side), rival = divmod(at // sides.shape[2], 2), sides.reshape(-1)[at]
+    """Some of the cells, and those who touch them without being on their shortlists."""
+    row, side, place = np.nonzero(clear[cells] == TOUCHES)
+    cell = cells[row]
+    rival = sides[cell, side, place]
     listed = (few[cell, side] == rival[:, None]).any(axis=1)
     return np.stack([cell, rival], axis=1)[~listed]
 

@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxtissue.candidates import padded
-from jaxtissue.cells import CellGeometry, Survey, measure_cells
-from jaxtissue.changes import Neighborhoods, TissueState
+from jaxtissue.cells import CellGeometry, measure_cells
+from jaxtissue.changes import Neighborhoods, TissueState, tissue_state
 from jaxtissue.energy import Model, lateral_tension, volume_elasticity
 from jaxtissue.lines import Lines
 from jaxtissue.metropolis import Order, SweepInfo, sweep
-from jaxtissue.shortlists import STOPS, TOUCHES, clearance
+from jaxtissue.shortlists import clearance, ranked
 
 
 class Trail(NamedTuple):
@@ -30,11 +30,15 @@ def look(
     model: Model,
     lines: tuple[Lines, Lines],
     sides: Int[Array, "n 2 candidates"],
-) -> tuple[Survey, Float[Array, "n 2 candidates"]]:
-    """Measure a whole tissue, and on fewer lines how clear of each cell its candidates are."""
+    back: Int[Array, "n 2 candidates"],
+) -> tuple[TissueState, Float[Array, "n 2 candidates"]]:
+    """Measure a whole tissue, and on fewer lines how clear of each cell its candidates are.
+
+    `back` is the `mirror` of `sides`.
+    """
     _, seen = measure_cells(positions, model.tube, lines[0], sides)
     clear = clearance(positions, model.tube, lines[1], sides)
-    return seen, jnp.where(seen.touched, TOUCHES, jnp.where(seen.stops, STOPS, clear))
+    return tissue_state(positions, seen), ranked(clear, seen.touched, seen.stops, back)
 
 
 def play(
