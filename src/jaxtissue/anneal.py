@@ -40,8 +40,8 @@ def sparser(resolution: Resolution) -> Resolution:
 
 
 def renews_at(sweep: int) -> bool:
-    """Whether lists and rounds are renewed after a sweep: after each of the first, when cells move most."""
-    return sweep <= 8 or sweep % SPAN == 0
+    """Whether lists and rounds are renewed after a sweep: more often at first, when cells move most."""
+    return sweep <= 8 or sweep % (SPAN // 2 if sweep < 2 * SPAN else SPAN) == 0
 
 
 class AnnealState(NamedTuple):
