@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxtissue as jt
-from jaxtissue.anneal import CANDIDATES, sparser
-from jaxtissue.shortlists import mirror, nearest_sides
+from jaxtissue.anneal import CANDIDATES
+from jaxtissue.shortlists import mirror, nearest_sides, sight_lines
 from jaxtissue.spans import look
 
 CASES = ("R_a = 1", "R_a = 5")
@@ -49,7 +49,7 @@ def lists(case: str, kind: str) -> jax.Array:
 def shortlists(place: np.ndarray, tube: jt.Tube, sides: np.ndarray) -> np.ndarray:
     """Of complete candidates the 24 a side that the annealer keeps for some sweeps."""
     size = jt.PRESETS["standard"]
-    lines = jt.plan_lines(tube, len(place), size), jt.plan_lines(tube, len(place), sparser(size))
+    lines = jt.plan_lines(tube, len(place), size), sight_lines(tube, len(place), size)
     asked = jnp.asarray(place), jt.tube_model(tube, len(place)), lines, jnp.asarray(sides), mirror(sides)
     _, clear = jax.jit(look)(*asked)
     return nearest_sides(sides, np.asarray(clear), CANDIDATES)

@@ -29,7 +29,7 @@ CELLS, REPLICAS = (500, 10_000, 100_000, 1_000_000), (1, 64, 1024)
 DRAFT = jt.PRESETS["draft"]
 FLOPS = 14  # of `walls.meeting`: two turned coordinates 6, the foot 2, squares and sum 4, the reach 2
 BYTES = 15_000  # memory that a cell takes in a sweep, its candidates most of it (see scale.py)
-SWEEPS = 2 * SPAN
+SWEEPS = 3 * SPAN
 AGREE = 1e-4  # of the mean cell: as far as two devices may differ in one cell, in float32
 _measure = jax.jit(jt.measure_cells)
 
@@ -109,7 +109,7 @@ def sweeps(cells: int, replicas: int) -> dict[str, Any]:
         states = [state for state, _, _ in spans]
         records += spans[0][1]
     # a row tells the time divided by the replicas
-    seconds = replicas * float(np.median([record.seconds for record in records[1 + SPAN :]]))
+    seconds = replicas * float(np.median([record.seconds for record in records[1 + 2 * SPAN :]]))
     row = {"sweep_seconds": seconds, "nanoseconds_per_cell": 1e9 * seconds / (cells * replicas)}
     row |= {"compile_seconds": annealers[0].compile_seconds, "rounds": records[-1].rounds}
     return row | {"energies": [record.energy / cells for record in records]}

@@ -22,8 +22,10 @@ from jaxtissue.anneal import SPAN
 
 RESOLUTIONS = ("draft", "3x3.5", "4x4", "5x7", "7x8", "8x8")
 ALGORITHMS, SAMPLES = ("incremental MH", "IS-MH"), (4, 10, 50)
-WARM_UP = SPAN  # sweeps before those that are timed as typical: in the first, lists are renewed after each
-SWEEPS = WARM_UP + SPAN
+WARM_UP = (
+    2 * SPAN
+)  # sweeps before those that are timed as typical: in the first, lists are renewed more often
+SWEEPS = WARM_UP + 2 * SPAN
 
 
 def our_diagram(place: np.ndarray, tube: jt.Tube, size: jt.Resolution, kept: jax.Array) -> dict[str, Any]:

@@ -18,7 +18,7 @@ import numpy as np
 import jaxtissue as jt
 from jaxtissue.anneal import SPAN
 
-WARM_UP = SPAN  # sweeps before those that are timed: in the first, lists are renewed after each
+WARM_UP = 2 * SPAN  # sweeps before those that are timed: in the first, lists are renewed more often
 
 
 def run(cells: int, sweeps: int, resolution: str) -> dict[str, Any]:

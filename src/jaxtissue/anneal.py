@@ -19,7 +19,7 @@ from jaxtissue.metropolis import move_bound
 from jaxtissue.programs import Ahead, Request, Task, run_together
 from jaxtissue.records import Measured, SweepRecord, least_around, shortlisted, sweep_record
 from jaxtissue.rounds import independent_rounds, one_by_one, padded_orders, round_width
-from jaxtissue.shortlists import find_unlisted, list_first, mirror
+from jaxtissue.shortlists import find_unlisted, list_first, mirror, sight_lines
 from jaxtissue.spans import Trail, energy_terms, fit_play, look, play
 from jaxtissue.walls import Posts
 
@@ -27,16 +27,9 @@ ALGORITHMS = ("is-mh", "mh")
 SPAN = 10  # the most sweeps between renewals of lists and rounds
 CANDIDATES = 24  # on each side of a cell during a sweep: three times as many as bound a cell
 MARGIN = 4  # longest moves by which a candidate may lie on the other side of a cell
-SPARSE = 2.0  # lines per mean cell width on which it is seen how clear of a cell its candidates are
-SIGHT = 2.5  # mean cell widths to either side in which that is seen
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
 Plan = Sequence[Int[np.ndarray, "rounds width"]]  # the rounds of some sweeps
 Span = tuple["AnnealState", list[SweepRecord], Float[np.ndarray, "sweeps n 2"]]
-
-
-def sparser(resolution: Resolution) -> Resolution:
-    """That on which it is seen how clear of cells their candidates are: the same layers, fewer lines."""
-    return Resolution(resolution.layers, SPARSE)
 
 
 def renews_at(sweep: int) -> bool:
@@ -201,7 +194,7 @@ class Annealer:
             yield self._expect_play(state)
         sides = self._find(jnp.asarray(state.positions), state.widths[0])
         n = len(state.positions)
-        lines = self._plan(n), plan_lines(self.model.tube, n, sparser(self.resolution), SIGHT)
+        lines = self._plan(n), sight_lines(self.model.tube, n, self.resolution)
         # lists are not padded to those of others: their width sets how finely `stop` compares
         asked = state.positions, self.model, lines, sides, mirror(sides)
         tissue, clear = yield from self._ask(Request(look, asked))

@@ -11,13 +11,20 @@ from scipy import sparse
 
 from jaxtissue.candidates import least, linked, padded
 from jaxtissue.cells import BLOCK
-from jaxtissue.lines import Lines
+from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import FAR, Grid, Posts, larger, meeting, posts, see_lines, see_others, settled
 
+SPARSE = 2.0  # lines per mean cell width on which it is seen how clear of a cell its candidates are
+SIGHT = 2.5  # mean cell widths to either side in which that is seen
 TINY = 1e-20
 TOUCHES = 0.0  # clearance of who touches a cell
 STOPS = 1e-25  # of who stops it on a line that bears no part of it, below that of all others
+
+
+def sight_lines(tube: Tube, cells: int, resolution: Resolution) -> Lines:
+    """The lines of `clearance` for tissue measured at a resolution: as many layers, fewer lines, farther."""
+    return plan_lines(tube, cells, Resolution(resolution.layers, SPARSE), SIGHT)
 
 
 def clearance(

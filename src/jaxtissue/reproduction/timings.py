@@ -15,7 +15,7 @@ from jaxtissue.reproduction.tissues import Annealing
 from jaxtissue.spread import covering_radius
 from jaxtissue.tube import Tube
 
-WARM_UP = SPAN  # sweeps before the timed ones: in the first, lists are renewed after each
+WARM_UP = SPAN  # sweeps before the timed ones: in the first 8 lists are renewed after each
 
 
 def measure_table(plan: Plan, store: Store) -> Table:
