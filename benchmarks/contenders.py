@@ -19,8 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxtissue as jt
-from jaxtissue.anneal import CANDIDATES
-from jaxtissue.shortlists import mirror, nearest_sides, sight_lines
+from jaxtissue.shortlists import CANDIDATES, mirror, nearest_sides, sight_lines
 from jaxtissue.spans import look
 
 CASES = ("R_a = 1", "R_a = 5")

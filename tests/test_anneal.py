@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtissue import anneal
+from jaxtissue import shortlists
 from jaxtissue.anneal import SPAN, Annealer, AnnealState, renews_at
 from jaxtissue.coloring import CONFLICTS
 from jaxtissue.energy import epithelial_energy, tube_model
@@ -146,7 +146,7 @@ def play_span(run: Annealer, state: AnnealState, sweeps: int):
 
 def sweep_with(candidates: int, monkeypatch, sweeps: int):
     """State, trail and drift of some sweeps of 60 cells on so few candidates a side; how often played."""
-    monkeypatch.setattr(anneal, "CANDIDATES", candidates)
+    monkeypatch.setattr(shortlists, "CANDIDATES", candidates)
     run, plays = annealer(sweeps), []
 
     def count(*arguments):
@@ -171,7 +171,7 @@ def test_sweeps_that_lacked_a_candidate_are_played_again(x64, monkeypatch) -> No
 
 
 def test_the_number_of_candidates_does_not_matter(x64, monkeypatch) -> None:
-    everyone, usual, few = (sweep_with(count, monkeypatch, 1) for count in (CELLS, anneal.CANDIDATES, 8))
+    everyone, usual, few = (sweep_with(count, monkeypatch, 1) for count in (CELLS, shortlists.CANDIDATES, 8))
     for other in (usual, few):
         np.testing.assert_array_equal(other[0].positions, everyone[0].positions)
         np.testing.assert_allclose(other[1].volume, everyone[1].volume, rtol=1e-10)  # float64, other sums

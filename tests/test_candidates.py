@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtissue.anneal import CANDIDATES, MARGIN
+from jaxtissue.anneal import MARGIN
 from jaxtissue.candidates import (
     NEAREST,
     contact_graph,
@@ -24,6 +24,7 @@ from jaxtissue.exact import exact_cells
 from jaxtissue.lines import PRESETS, plan_lines
 from jaxtissue.metropolis import move_bound
 from jaxtissue.shortlists import (
+    CANDIDATES,
     STOPS,
     TOUCHES,
     around,

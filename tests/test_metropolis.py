@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from jaxtissue.anneal import CANDIDATES, SPAN, Annealer
+from jaxtissue.anneal import SPAN, Annealer
 from jaxtissue.candidates import padded, sided
 from jaxtissue.cells import measure_cells
 from jaxtissue.coloring import color, hop_conflicts
@@ -34,7 +34,7 @@ class Bench:
         self.start = self.annealer.start(TUBE.random_positions(jax.random.key(1), CELLS))
         measured, plan = run_together([self.annealer._measure(self.start), self.annealer._rounds(self.start)])
         self.lines = self.annealer._plan(CELLS)
-        self.near = shortlisted(measured.sides, measured.clear, (CANDIDATES, 0))
+        self.near = shortlisted(measured.sides, measured.clear, 0)
         self.tissue = measured.tissue
         self.width = plan[0].shape[1]  # so that all share the run's program
         self.rounds = color(hop_conflicts(measured.contacts(), 3), self.width)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtissue import anneal, programs
+from jaxtissue import anneal, programs, shortlists
 from jaxtissue.anneal import Annealer, advance_together, record_together
 from jaxtissue.energy import Model, tube_model
 from jaxtissue.lines import PRESETS
@@ -81,7 +81,7 @@ def test_a_replay_leaves_the_others_alone(again: str, monkeypatch) -> None:
         plays.append(run.seed)
         return (yield from usual(run, *arguments))
 
-    monkeypatch.setattr(anneal, "CANDIDATES", 8)
+    monkeypatch.setattr(shortlists, "CANDIDATES", 8)
     monkeypatch.setattr(Annealer, "_play_on", noted)
     if again == "in halves":
         monkeypatch.setattr(anneal, "list_first", lambda *_: False)

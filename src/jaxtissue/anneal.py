@@ -19,13 +19,12 @@ from jaxtissue.metropolis import move_bound
 from jaxtissue.programs import Ahead, Request, Task, run_together
 from jaxtissue.records import Measured, SweepRecord, least_around, shortlisted, sweep_record
 from jaxtissue.rounds import independent_rounds, one_by_one, padded_orders, round_width
-from jaxtissue.shortlists import find_unlisted, list_first, mirror, sight_lines
+from jaxtissue.shortlists import find_unlisted, list_first, mirror, shortlist_length, sight_lines
 from jaxtissue.spans import Trail, energy_terms, fit_play, look, play
 from jaxtissue.walls import Posts
 
 ALGORITHMS = ("is-mh", "mh")
 SPAN = 10  # the most sweeps between renewals of lists and rounds
-CANDIDATES = 24  # on each side of a cell during a sweep: three times as many as bound a cell
 MARGIN = 4  # longest moves by which a candidate may lie on the other side of a cell
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
 Plan = Sequence[Int[np.ndarray, "rounds width"]]  # the rounds of some sweeps
@@ -128,7 +127,7 @@ class Annealer:
         measured = yield from self._measure(state)
         clear = measured.clear.copy()
         while True:
-            near = shortlisted(measured.sides, clear, (CANDIDATES, state.widths[1]))
+            near = shortlisted(measured.sides, clear, state.widths[1])
             after, trail = yield from self._play_on(near, state, measured, plan[:sweeps])
             fresh = yield from self._measure(after)
             missing = self._missing(fresh, near, trail)
@@ -213,7 +212,7 @@ class Annealer:
         reach: Any = np.zeros((n, 2, len(lines.number)), dtype)
         tissue = TissueState(Posts(blank, blank, blank, blank), blank, blank, reach, blank > 0)
         width = max(least_around(n), state.widths[1])
-        near = Neighborhoods(np.zeros((n, width), np.int32), np.zeros((n, 2, CANDIDATES), np.int32))
+        near = Neighborhoods(np.zeros((n, width), np.int32), np.zeros((n, 2, shortlist_length(n)), np.int32))
         rounds = np.zeros((n, 1) if self.algorithm == "mh" else (1, round_width(n)), np.int32)
         orders, temperatures = padded_orders([rounds], SPAN, near), np.zeros(SPAN, dtype)
         return Ahead(play, (np.uint32(0), np.int32(0), tissue, self.model, temperatures, near, orders, lines))

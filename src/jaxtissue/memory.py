@@ -2,10 +2,10 @@
 
 import os
 
-from jaxtissue.anneal import CANDIDATES
 from jaxtissue.candidates import A_SIDE
 from jaxtissue.lines import Resolution, plan_lines
 from jaxtissue.rounds import ROUNDS
+from jaxtissue.shortlists import shortlist_length
 from jaxtissue.tube import Tube
 
 BASE = 540e6  # bytes of Python, JAX and the compiled programs, whatever the tissue
@@ -30,8 +30,9 @@ def estimate_memory(
     reach = 2 * lines * float_bytes
     listed = 2 * A_SIDE
     look = listed * (4 + 4 + float_bytes + 2) + reach
-    around = 4 * CANDIDATES  # as many again have the cell on their lists
-    lists = 4 * (2 * CANDIDATES + around)
+    few = shortlist_length(cells)
+    around = 4 * few  # as many again have the cell on their lists
+    lists = 4 * (2 * few + around)
     a_round = around * reach / ROUNDS
     each = LOOKS * look + listed * float_bytes + lists + 2 * reach + a_round
     return int(BASE + SCRATCH * replicas * cells * each)

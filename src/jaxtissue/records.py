@@ -9,9 +9,9 @@ from scipy import sparse
 from jaxtissue.candidates import contact_graph, padded
 from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.metropolis import SweepInfo
-from jaxtissue.shortlists import TOUCHES, around, nearest_sides
+from jaxtissue.shortlists import CANDIDATES, TOUCHES, around, nearest_sides, shortlist_length
 
-AROUND = 64  # who may be around a cell: room enough for most tissues
+AROUND = 64  # who may be around a cell that has CANDIDATES on each side: room enough for most tissues
 
 
 class Measured(NamedTuple):
@@ -77,20 +77,21 @@ def sweep_record(
 
 def least_around(cells: int) -> int:
     """Room for those around each cell that is enough for most tissues, so that it seldom has to grow."""
-    return min(AROUND, -(-cells // 16) * 16)
+    most = AROUND * shortlist_length(cells) / CANDIDATES
+    return -(-int(min(most, cells)) // 16) * 16
 
 
 def shortlisted(
     sides: Int[np.ndarray, "n 2 candidates"],
     clear: Float[np.ndarray, "n 2 candidates"],
-    sizes: tuple[int, int],
+    width: int,
 ) -> Neighborhoods:
-    """At most `sizes[0]` candidates a side for a few sweeps, and all around each cell, at least `sizes[1]`.
+    """The candidates on each side for a few sweeps, and all around each cell, at least `width`.
 
     With room to grow, where that is not enough.
     """
-    count, width = sizes[0], max(sizes[1], least_around(len(sides)))
-    few = nearest_sides(sides, clear, min(count, sides.shape[2]))
+    width = max(width, least_around(len(sides)))
+    few = nearest_sides(sides, clear, min(shortlist_length(len(sides)), sides.shape[2]))
     lists = around(few)
     if lists.shape[1] > width:
         width = -(-int(1.1 * lists.shape[1]) // 16) * 16

@@ -3,6 +3,8 @@
 Whether they were enough shows afterwards: whoever stops a cell then must have been listed.
 """
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +17,8 @@ from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import FAR, Grid, Posts, larger, meeting, posts, see_lines, see_others, settled
 
+CANDIDATES = 24  # on each side of a cell: three times as many as bound it
+FEW = 500  # cells for which these do; of more, one lacks a candidate as seldom if all have more
 SPARSE = 2.0  # lines per mean cell width on which it is seen how clear of a cell its candidates are
 SIGHT = 2.5  # mean cell widths to either side in which that is seen
 TINY = 1e-20
@@ -68,6 +72,17 @@ def clearance(
 
     least = jax.lax.map(block, width * jnp.arange(blocks))
     return least.reshape(blocks * width, *sides.shape[1:])[:n]
+
+
+def shortlist_length(cells: int) -> int:
+    """How many candidates a side cells have for some sweeps: 24, and 4 more for each fourfold of cells.
+
+    Each four more make it five times rarer that a cell lacks one and all sweeps are played again.
+
+    >>> shortlist_length(500), shortlist_length(50_000)
+    (24, 40)
+    """
+    return CANDIDATES + 4 * max(0, math.ceil(math.log(cells / FEW, 4)))
 
 
 def nearest_sides(

@@ -21,7 +21,7 @@ from jaxtissue.tube import Tube
 LEVEL = 3e-4  # slope against the axis given to walls closer to parallel to it: the root of float32's rounding
 END = -1
 FAR = 1e30  # beyond any tube, and finite: its lowest bits may be changed
-CHUNK = 24  # candidates compared in one unrolled loop: of 8 it compiles 2 s sooner, and takes twice as long
+CHUNK = 24  # most candidates in one unrolled loop: of 8 it compiles 2 s sooner, and takes twice as long
 T = TypeVar("T")
 
 
@@ -179,14 +179,15 @@ def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> I
         least = settled(lambda: nearer(start, rivals, 0), truth)
     else:
         chunks = -(-candidates // CHUNK)
-        spare = ((0, chunks * CHUNK - candidates), (0, 0), (0, 0))
+        length = -(-candidates // chunks)
+        spare = ((0, chunks * length - candidates), (0, 0), (0, 0))
         tables = Rivals(
             *(
-                jnp.pad(table, spare, constant_values=nobody).reshape(chunks, CHUNK, 2, cells)
+                jnp.pad(table, spare, constant_values=nobody).reshape(chunks, length, 2, cells)
                 for table, nobody in zip(rivals, (FAR, 0.0, 0.0, 0.0), strict=True)
             )
         )
-        first = CHUNK * jnp.arange(chunks, dtype=integer)
+        first = length * jnp.arange(chunks, dtype=integer)
         least, _ = jax.lax.scan(lambda least, some: (nearer(least, *some), None), start, (tables, first))
     winner = (recast(least, integer) & ((1 << bits) - 1)).astype(jnp.int32)
     return jnp.where(least < ends, winner, END)
