@@ -105,17 +105,23 @@ def plan_lines(
 ) -> Lines:
     """The lines for a tube of `cells` cells, in windows of `reach` mean cell widths to either side.
 
-    The mean cell width at radius r is sqrt(2 pi r L / n). At least 16 lines run once round every layer;
-    the two surfaces, which carry no volume, have half as many lines again.
+    The mean cell width at radius r is sqrt(2 pi r L / n). Layers have 0.65 to 1.35 times `density` lines
+    per width, more the farther out, where cells are larger and errors weigh more; the two surfaces, which
+    carry no volume, have 1.5 times. At least 16 lines run once round the outermost and the surfaces.
     """
     radius, weight = layer_rule(tube, resolution.layers)
     if surfaces:
         ends = float(tube.apical_radius), float(tube.basal_radius)
         radius, weight = np.append(radius, ends), np.append(weight, [0.0, 0.0])
     turn = np.sqrt(2 * math.pi * radius * cells / float(tube.length))  # the circle in mean cell widths
-    dense = resolution.density * np.where(np.arange(len(radius)) < resolution.layers, 1.0, 1.5)
-    circle = np.ceil(np.maximum(max(16, 4 * resolution.density), dense * turn))
-    half = np.ceil(reach * dense)
+    depth = (np.arange(resolution.layers) + 0.5) / resolution.layers
+    share = np.append(0.65 + 0.7 * depth, (1.5, 1.5) if surfaces else ())
+    whole = np.diff(np.round(np.cumsum(REACH * resolution.density * share)), prepend=0)  # windows are full
+    dense = np.maximum(1, whole) / REACH
+    fewest = max(16, 4 * resolution.density)
+    round_once = dense * turn * max(1, fewest / (dense * turn)[resolution.layers - 1])
+    circle = np.ceil(np.where(weight == 0, np.maximum(round_once, fewest), round_once))
+    half = np.ceil(reach * dense - 1e-9)
     return Lines(radius, weight, circle, tuple(half.astype(int).tolist()), surfaces)
 
 
