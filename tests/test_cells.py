@@ -201,7 +201,7 @@ def test_the_width_of_windows_changes_nothing(tissue, reach: float) -> None:
         for width in (REACH, reach)
     )
     if reach < 1:
-        assert narrow[1].reach.shape[2] < 0.4 * usual[1].reach.shape[2]
+        assert narrow[1].reach.shape[2] < 0.5 * usual[1].reach.shape[2]
     # float32: summed in another order
     np.testing.assert_allclose(narrow[0].volume, usual[0].volume, rtol=1e-5)
     np.testing.assert_allclose(narrow[0].lateral_area, usual[0].lateral_area, rtol=1e-5)

@@ -13,7 +13,7 @@ from jaxtissue.lines import Lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import END, Posts, Walls, posts, see_rivals, see_window, settled, stop, strips, walls
 
-BLOCK = 88  # cells measured at once, 8 times an odd number: of 64 or 128 rows evict each other from the cache
+BLOCK = 72  # cells measured at once, 8 times an odd number: of 64 or 128 rows evict each other from the cache
 
 
 class CellGeometry(eqx.Module):
@@ -35,6 +35,11 @@ class Window(NamedTuple):
     reach: Float[Array, "lines 2 cells"]  # behind and ahead; -inf on lines that do not bear on the cell
     by: Int[Array, "lines 2 cells"]  # the candidate that stops the cell there, END the tube
     onward: Bool[Array, "2 cells"]  # the cell goes on before the first lines, or after the last
+
+    def reaches(self, row: int) -> Float[Array, "cells 2 row"]:
+        """The reaches of each cell in rows, padded with -inf."""
+        spare = ((0, 0), (0, 0), (0, row - len(self.reach)))
+        return jnp.pad(self.reach.transpose(2, 1, 0), spare, constant_values=-jnp.inf)
 
 
 def measure_window(
@@ -118,15 +123,20 @@ def through_windows(
         items, shift = jnp.where(place < queue.end, queue.item[at], size), queue.shift[at]
         done, onward = measure(items, shift, done)
         onward &= jnp.stack([shift <= 0, shift >= 0]) & (items < size)
-        rank = jnp.cumsum(onward.ravel(), dtype=jnp.int32).reshape(onward.shape)
-        to = jnp.where(onward, (queue.end + rank - 1) % capacity, capacity)
-        item, onto = jnp.broadcast_to(items, onward.shape), shift + jnp.array([[-1], [1]], jnp.int32)
-        return Queue(
-            queue.item.at[to].set(item, mode="drop"),
-            queue.shift.at[to].set(onto, mode="drop"),
-            jnp.minimum(queue.begin + width, queue.end),
-            queue.end + rank[-1, -1],
-        ), done
+
+        def append() -> tuple[Array, Array, Array]:
+            rank = jnp.cumsum(onward.ravel(), dtype=jnp.int32).reshape(onward.shape)
+            to = jnp.where(onward, (queue.end + rank - 1) % capacity, capacity)
+            item, onto = jnp.broadcast_to(items, onward.shape), shift + jnp.array([[-1], [1]], jnp.int32)
+            return (
+                queue.item.at[to].set(item, mode="drop"),
+                queue.shift.at[to].set(onto, mode="drop"),
+                queue.end + rank[-1, -1],
+            )
+
+        # most cells end in their middle window
+        item, shift, end = jax.lax.cond(onward.any(), append, lambda: (queue.item, queue.shift, queue.end))
+        return Queue(item, shift, jnp.minimum(queue.begin + width, queue.end), end), done
 
     start = Queue(
         jnp.arange(capacity, dtype=jnp.int32),
@@ -143,7 +153,7 @@ class Survey(NamedTuple):
 
     sizes: CellGeometry
     wide: Bool[Array, "cells"]  # the cell goes on beyond the middle window
-    reach: Float[Array, "cells 2 lines"]  # of the middle window
+    reach: Float[Array, "cells 2 row"]  # of the middle window
     touched: Bool[Array, "cells 2 candidates"]  # the candidate stops the cell on some line that bears on it
     stops: Bool[
         Array, "cells 2 candidates"
@@ -173,7 +183,7 @@ def measure_cells(
     start = Survey(
         sizes,
         blank > 0,
-        jnp.zeros((size, 2, len(lines.number)), dtype),
+        jnp.zeros((size, 2, lines.row), dtype),
         *2 * [jnp.zeros((size, *neighbors.shape[1:]), bool)],
     )
 
@@ -203,7 +213,7 @@ def add_window(items: Array, shift: Array, window: Window, done: Survey) -> Surv
     return Survey(
         jax.tree.map(add, done.sizes, window.sizes),
         done.wide.at[at].set(window.onward.any(axis=0), mode="drop"),
-        done.reach.at[at].set(jnp.moveaxis(window.reach, -1, 0).swapaxes(1, 2), mode="drop"),
+        done.reach.at[at].set(window.reaches(done.reach.shape[2]), mode="drop"),
         done.touched.at[items[:, None, None], side, toucher].set(True, mode="drop"),
         done.stops.at[at[:, None, None], side, stopper].set(True, mode="drop"),
     )

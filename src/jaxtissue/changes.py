@@ -29,7 +29,7 @@ class TissueState(NamedTuple):
     place: Posts
     volume: Float[Array, "n"]
     lateral_area: Float[Array, "n"]
-    reach: Float[Array, "n 2 lines"]  # in the middle window
+    reach: Float[Array, "n 2 row"]  # in the middle window
     wide: Bool[Array, "n"]  # the cell goes on beyond it
 
 
@@ -42,7 +42,7 @@ class Changes(NamedTuple):
     total: Int[Array, ""]
     volume: Float[Array, "items"]
     lateral_area: Float[Array, "items"]
-    reach: Float[Array, "items 2 lines"]
+    reach: Float[Array, "items 2 row"]
     wide: Bool[Array, "items"]
 
 
@@ -74,14 +74,14 @@ def find_changed(
     """
     model, lines = rules
     tube, cells = model.tube, near.around[movers]
-    pairs = cells.ravel()
-    own, reach = pick(state.place, pairs), state.reach[pairs]
-    grid = jax.tree.map(lambda table: table[:, 0], see_lines(lines, reach.dtype))
-    truth = own.axial[0] > -1
+    own, reach = pick(state.place, cells), state.reach[cells.ravel()]
+    spare = (0, lines.row - len(lines.number))
+    grid = jax.tree.map(lambda table: jnp.pad(table[:, 0], spare), see_lines(lines, reach.dtype))
+    truth = own.axial[0, 0] > -1
 
     def against(place: Posts) -> tuple[Rivals, Array, Array]:
         """The movers as rivals of those around them, sooner by the tolerance; who are ahead, who level."""
-        mover = Posts(*(jnp.repeat(column, cells.shape[1]) for column in pick(place, movers)))
+        mover = jax.tree.map(lambda column: column[:, None], pick(place, movers))
         gap, cosine = mover.axial - own.axial, mover.cosine * own.cosine + mover.sine * own.sine
         sine = mover.sine * own.cosine - mover.cosine * own.sine
         floor = LEVEL * tube.apical_radius * jnp.sqrt(sine**2 + (1 - cosine) ** 2)
@@ -92,15 +92,15 @@ def find_changed(
     now, then = (settled(lambda place=place: against(place), truth) for place in (state.place, proposed))
 
     def undercuts(rivals: Rivals, is_ahead: Array) -> Array:
-        meets = meeting(grid, jax.tree.map(lambda column: column[:, None], rivals), tube)
-        return meets - SLACK * jnp.abs(meets) <= jnp.where(is_ahead[:, None], reach[:, 1], reach[:, 0])
+        meets = meeting(grid, jax.tree.map(lambda column: column.reshape(-1, 1), rivals), tube)
+        is_ahead = is_ahead.reshape(-1, 1)
+        return meets - SLACK * jnp.abs(meets) <= jnp.where(is_ahead, reach[:, 1], reach[:, 0])
 
     touched = jnp.where(undercuts(*now[:2]) | undercuts(*then[:2]), 1.0, 0.0)
     touched = (touched.max(axis=1) > 0).reshape(cells.shape)
     moves = (movers >= 0)[:, None]
     real = (cells != movers[:, None]) & moves
-    level = (now[2] | then[2]).reshape(cells.shape)
-    perhaps = real & ~touched & (state.wide[cells] | level)
+    perhaps = real & ~touched & (state.wide[cells] | now[2] | then[2])
     return (
         jnp.concatenate([real & touched, moves], axis=1),
         jnp.concatenate([perhaps, jnp.zeros_like(moves)], axis=1),
@@ -186,7 +186,7 @@ def measure_changes(
         done = done._replace(
             volume=done.volume.at[items].add(window.sizes.volume, mode="drop"),
             lateral_area=done.lateral_area.at[items].add(window.sizes.lateral_area, mode="drop"),
-            reach=done.reach.at[at].set(jnp.moveaxis(window.reach, -1, 0).swapaxes(1, 2), mode="drop"),
+            reach=done.reach.at[at].set(window.reaches(lines.row), mode="drop"),
             wide=done.wide.at[at].set(window.onward.any(axis=0), mode="drop"),
         )
         return done, window.onward

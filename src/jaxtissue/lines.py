@@ -20,7 +20,8 @@ class Resolution(NamedTuple):
     density: float
 
 
-REACH = 1.5  # mean cell widths on either side of a backbone that the first window of lines covers
+REACH = 1.7  # mean cell widths on either side of a backbone that the first window of lines covers
+GRAIN = 1.5  # mean cell widths to which layers have whole numbers of lines
 INSET = 0.37  # about (sqrt(3) - 1) / 2, of the best rules for natural splines
 PRESETS = {"draft": Resolution(3, 3), "standard": Resolution(6, 8), "fine": Resolution(10, 10)}
 
@@ -75,6 +76,11 @@ class Lines(eqx.Module):
         return np.repeat(np.arange(len(self.half)), 2 * np.array(self.half) + 1)
 
     @property
+    def row(self) -> int:
+        """Length of a row of one number a line, padded so that none is left over from vectors of 8."""
+        return -(-len(self.number) // 8) * 8
+
+    @property
     def inner_layers(self) -> int:
         """Number of layers that carry volume."""
         return len(self.half) - 2 * self.surfaces
@@ -116,12 +122,12 @@ def plan_lines(
     turn = np.sqrt(2 * math.pi * radius * cells / float(tube.length))  # the circle in mean cell widths
     depth = (np.arange(resolution.layers) + 0.5) / resolution.layers
     share = np.append(0.65 + 0.7 * depth, (1.5, 1.5) if surfaces else ())
-    whole = np.diff(np.round(np.cumsum(REACH * resolution.density * share)), prepend=0)  # windows are full
-    dense = np.maximum(1, whole) / REACH
+    whole = np.diff(np.round(np.cumsum(GRAIN * resolution.density * share)), prepend=0)
+    dense = np.maximum(1, whole) / GRAIN
     fewest = max(16, 4 * resolution.density)
     round_once = dense * turn * max(1, fewest / (dense * turn)[resolution.layers - 1])
     circle = np.ceil(np.where(weight == 0, np.maximum(round_once, fewest), round_once))
-    half = np.ceil(reach * dense - 1e-9)
+    half = np.ceil(reach * dense)
     return Lines(radius, weight, circle, tuple(half.astype(int).tolist()), surfaces)
 
 

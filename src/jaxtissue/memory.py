@@ -26,8 +26,7 @@ def estimate_memory(
     >>> print(describe_bytes(estimate_memory(5000, tube, Resolution(3, 3))))
     0.7 GB
     """
-    lines = len(plan_lines(tube, cells, resolution).number)
-    reach = 2 * lines * float_bytes
+    reach = 2 * plan_lines(tube, cells, resolution).row * float_bytes
     listed = 2 * A_SIDE
     look = listed * (4 + 4 + float_bytes + 2) + reach
     few = shortlist_length(cells)
