@@ -20,7 +20,7 @@ from peer import find_peer
 import jaxtissue as jt
 
 LAYERS, DENSITIES = (3, 4, 5, 6, 8, 10), (3, 4, 5, 6, 8, 10)
-FEW = ((3, 3), (4, 4), (5, 6), (7, 8), (10, 10))  # from scratch, and on one core
+FEW = ((3, 3), (4, 3.3), (5, 6), (7, 8), (10, 10))  # from scratch, and on one core
 VOXELS = (1.0, 0.5, 0.25)
 EXACT = (5, 10, 20, 50, 100)
 PEER = (4, 5, 10, 20, 50)

@@ -20,7 +20,7 @@ from peer import Peer, find_peer
 import jaxtissue as jt
 from jaxtissue.anneal import SPAN
 
-RESOLUTIONS = ("draft", "3x3.5", "4x4", "5x7", "7x8", "8x8")
+RESOLUTIONS = ("draft", "3x4", "4x3.3", "7x7", "7x8", "8x8")
 ALGORITHMS, SAMPLES = ("incremental MH", "IS-MH"), (4, 10, 50)
 WARM_UP = (
     2 * SPAN

@@ -49,9 +49,9 @@ class Annealer:
 
     `model` is what the energy depends on, `resolution` how finely cells are measured, `algorithm` "is-mh" or
     "mh". `conflicts` is the rule of move independence: "near", two moves conflict if one cell touches both
-    movers, or could if they were moved as far as may be; 2, 3 or 4 hops of contact; or the paper's 8 phi.
-    A run is a function of `seed` and of the state it starts from alone. Raises `ValueError` for what it can't
-    run.
+    movers, or could if one were moved as far as moves go on average; 2, 3 or 4 hops of contact; or the
+    paper's 8 phi. A run is a function of `seed` and of the state it starts from alone. Raises `ValueError`
+    for what it can't run.
     """
 
     def __init__(
@@ -122,18 +122,18 @@ class Annealer:
         """Play the plan's rounds, sweep by sweep, on one set of candidate lists.
 
         Where a cell turns out to have lacked a candidate, it is listed and all is played again; in two
-        halves, with lists renewed between them, where it was not even among those looked at before.
+        halves, with lists renewed between them, where there was no room for it.
         """
         measured = yield from self._measure(state)
-        clear = measured.clear.copy()
+        sides, clear = measured.sides.copy(), measured.clear.copy()
         while True:
-            near = shortlisted(measured.sides, clear, state.widths[1])
+            near = shortlisted(sides, clear, state.widths[1])
             after, trail = yield from self._play_on(near, state, measured, plan[:sweeps])
             fresh = yield from self._measure(after)
             missing = self._missing(fresh, near, trail)
             if not len(missing):
                 break
-            if not list_first(missing, measured.sides, clear):
+            if not list_first(missing, sides, clear):
                 if sweeps == 1 and len(plan[0]) == 1:
                     break
                 self._last = state, measured

@@ -14,6 +14,7 @@ from jaxtissue.metropolis import Order, move_bound
 from jaxtissue.spread import covering_radius
 
 ROUNDS = 32  # sets that the cells are spread over at least: coloring takes 36 to 45
+MEAN_MOVE = 2 / 3  # of a move uniform in a disc, in its radius
 CAPACITY = 64  # rounds are padded to a multiple of it
 
 
@@ -38,7 +39,7 @@ def independent_rounds(
         apical = np.asarray(model.tube.embed(place).apical)
         graph = distance_conflicts(apical, 8 * float(covering_radius(place, model.tube)))
     elif rule == "near":
-        graph = hop_conflicts(contacts(float(move_bound(model, n))), 2)
+        graph = hop_conflicts(contacts(float(MEAN_MOVE * move_bound(model, n))), 2)
     else:
         graph = hop_conflicts(contacts(0.0), int(rule[0]))
     return color(graph, round_width(n), np.argsort(positions[:, 0], kind="stable"))

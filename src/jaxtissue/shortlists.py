@@ -19,16 +19,16 @@ from jaxtissue.walls import FAR, Grid, Posts, larger, meeting, posts, see_lines,
 
 CANDIDATES = 24  # on each side of a cell: three times as many as bound it
 FEW = 500  # cells for which these do; of more, one lacks a candidate as seldom if all have more
-SPARSE = 2.0  # lines per mean cell width on which it is seen how clear of a cell its candidates are
-SIGHT = 2.5  # mean cell widths to either side in which that is seen
+SIGHT_LINES = 5.0  # lines per mean cell width on which it is seen how clear of a cell its candidates are
+SIGHT = 2.0  # mean cell widths to either side in which that is seen
 TINY = 1e-20
 TOUCHES = 0.0  # clearance of who touches a cell
 STOPS = 1e-25  # of who stops it on a line that bears no part of it, below that of all others
 
 
 def sight_lines(tube: Tube, cells: int, resolution: Resolution) -> Lines:
-    """The lines of `clearance` for tissue measured at a resolution: as many layers, fewer lines, farther."""
-    return plan_lines(tube, cells, Resolution(resolution.layers, SPARSE), SIGHT)
+    """The lines of `clearance` for tissue measured at a resolution: as many layers, lines enough, farther."""
+    return plan_lines(tube, cells, Resolution(resolution.layers, SIGHT_LINES), SIGHT)
 
 
 def clearance(
@@ -158,10 +158,16 @@ def list_first(
     sides: Int[np.ndarray, "n 2 candidates"],
     clear: Float[np.ndarray, "n 2 candidates"],
 ) -> bool:
-    """Let pairs head each other's shortlists, by their clearance; whether any did not yet."""
+    """Let pairs head each other's shortlists, by their clearance; whether any did not yet.
+
+    On both sides, where the other may come to lie: in place of who is farthest from stopping the cell.
+    """
     news = False
     for pair in pairs:
         for cell, rival in (pair, pair[::-1]):
+            for side in np.flatnonzero(~(sides[cell] == rival).any(axis=1)):
+                farthest = clear[cell, side].argmax()
+                sides[cell, side, farthest], clear[cell, side, farthest] = rival, np.inf
             here = sides[cell] == rival
             news |= bool((clear[cell][here] > TOUCHES).any())
             clear[cell][here] = TOUCHES

@@ -32,7 +32,7 @@ def look(
     sides: Int[Array, "n 2 candidates"],
     back: Int[Array, "n 2 candidates"],
 ) -> tuple[TissueState, Float[Array, "n 2 candidates"]]:
-    """Measure a whole tissue, and on fewer lines how clear of each cell its candidates are.
+    """Measure a whole tissue, and on other lines how clear of each cell its candidates are.
 
     `back` is the `mirror` of `sides`.
     """
