@@ -8,7 +8,7 @@ from jaxtissue.rounds import ROUNDS
 from jaxtissue.shortlists import shortlist_length
 from jaxtissue.tube import Tube
 
-BASE = 540e6  # bytes of Python, JAX and the compiled programs, whatever the tissue
+BASE = 790e6  # bytes of Python, JAX and the compiled programs, whatever the tissue
 LOOKS = 2  # measured states kept at once: at the begin and at the end of a span
 SCRATCH = 3.7  # bytes that are allocated at the peak for each that is counted here, fitted
 
@@ -20,11 +20,11 @@ def estimate_memory(
 
     base + replicas n (2 looks + lists + state + one round's tables): a look has for each of 2 x 72 candidates
     its number, on host and device, its clearance, and two flags, and the reach on each line. Fitted to
-    peaks by `draft` on one CPU: 2,030 MiB at n = 50,000 from random backbones (1,370 MiB from annealed ones).
+    peaks by `draft` on one CPU from random backbones: 768, 881 and 2,162 MiB at n = 500, 5,000 and 50,000.
 
     >>> tube = Tube(length=1000, apical_radius=1, basal_radius=10)
     >>> print(describe_bytes(estimate_memory(5000, tube, Resolution(3, 3))))
-    0.7 GB
+    0.9 GB
     """
     reach = 2 * plan_lines(tube, cells, resolution).row * float_bytes
     listed = 2 * A_SIDE
