@@ -50,7 +50,7 @@ BOUND = float(move_bound(tube_model(TUBE, CELLS), CELLS))
 def tissue():
     """300 cells, their candidates, which of these stop them, how clear the others are, and all contacts."""
     positions = TUBE.random_positions(jax.random.key(3), CELLS)
-    sides = find_candidates(positions, TUBE, MARGIN * BOUND)
+    sides = find_candidates(positions, TUBE, MARGIN * CANDIDATES * BOUND)
     lines = plan_lines(TUBE, CELLS, PRESETS["draft"]), sight_lines(TUBE, CELLS, PRESETS["draft"])
     _, seen = jax.jit(measure_cells)(positions, TUBE, lines[0], sides)
     _, clear = jax.jit(look)(positions, tube_model(TUBE, CELLS), lines, sides, mirror(sides))

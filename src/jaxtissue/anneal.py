@@ -25,7 +25,7 @@ from jaxtissue.walls import Posts
 
 ALGORITHMS = ("is-mh", "mh")
 SPAN = 10  # the most sweeps between renewals of lists and rounds
-MARGIN = 4  # longest moves by which a candidate may lie on the other side of a cell
+MARGIN = 1 / 6  # longest moves, for each candidate on a side, by which one may lie on the other side
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
 Plan = Sequence[Int[np.ndarray, "rounds width"]]  # the rounds of some sweeps
 Span = tuple["AnnealState", list[SweepRecord], Float[np.ndarray, "sweeps n 2"]]
@@ -222,7 +222,7 @@ class Annealer:
     def _find(self, place: Float[Array, "n 2"], width: int) -> Int[np.ndarray, "n 2 candidates"]:
         """Complete candidate lists, at least of a width."""
         begin = time.perf_counter()
-        margin = MARGIN * float(move_bound(self.model, len(place)))
+        margin = MARGIN * shortlist_length(len(place)) * float(move_bound(self.model, len(place)))
         sides = find_candidates(place, self.model.tube, margin)
         if self._last is None or sides.shape[2] > width:  # a check of new shapes, which is compiled
             self.compile_seconds += time.perf_counter() - begin
