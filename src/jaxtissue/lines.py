@@ -111,8 +111,8 @@ def plan_lines(
 ) -> Lines:
     """The lines for a tube of `cells` cells, in windows of `reach` mean cell widths to either side.
 
-    The mean cell width at radius r is sqrt(2 pi r L / n). Layers have 0.65 to 1.35 times `density` lines
-    per width, more the farther out, where cells are larger and errors weigh more; the two surfaces, which
+    The mean cell width at radius r is sqrt(2 pi r L / n). Layers have about 0.65 to 1.35 times `density`
+    lines per width, more the farther out, where cells are larger and errors weigh more; the surfaces, which
     carry no volume, have 1.5 times. At least 16 lines run once round the outermost and the surfaces.
     """
     radius, weight = layer_rule(tube, resolution.layers)

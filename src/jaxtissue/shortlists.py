@@ -27,7 +27,7 @@ STOPS = 1e-25  # of who stops it on a line that bears no part of it, below that 
 
 
 def sight_lines(tube: Tube, cells: int, resolution: Resolution) -> Lines:
-    """The lines of `clearance` for tissue measured at a resolution: as many layers, lines enough, farther."""
+    """The lines of `clearance` for tissue measured at a resolution: on as many layers, farther out."""
     return plan_lines(tube, cells, Resolution(resolution.layers, SIGHT_LINES), SIGHT)
 
 
@@ -77,7 +77,7 @@ def clearance(
 def shortlist_length(cells: int) -> int:
     """How many candidates a side cells have for some sweeps: 24, and 4 more for each fourfold of cells.
 
-    Each four more make it five times rarer that a cell lacks one and all sweeps are played again.
+    If one cell lacks one, the sweeps of all are played again: with four more, two to five times as seldom.
 
     >>> shortlist_length(500), shortlist_length(50_000)
     (24, 40)
