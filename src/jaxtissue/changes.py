@@ -10,7 +10,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxtissue.cells import BLOCK, CellGeometry, Survey, measure_window, through_windows
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines
-from jaxtissue.walls import LEVEL, Posts, Rivals, meeting, posts, see_lines, settled
+from jaxtissue.tube import Tube
+from jaxtissue.walls import LEVEL, Posts, Rivals, meeting, posts, see_lines, settled, turn_between
 
 ROOM = 20  # cells that a move may change, on average over a round: twice as many as it does
 SLACK = 1e-5  # of a reach and of R_b, by which a wall may miss a cell and counts as bounding it
@@ -57,13 +58,26 @@ def pick(place: Posts, which: Array) -> Posts:
     return Posts(*(column[which] for column in place))
 
 
-def members(movers: Array, near: Neighborhoods) -> Int[Array, "width candidates+1"]:
-    """A mover's candidates, and (last) itself."""
-    return jnp.concatenate([near.around[movers], movers[:, None]], axis=1)
+class Round(NamedTuple):
+    """Moves of one round: of whom, from where to where, and who is around."""
+
+    movers: Int[Array, "width"]  # padded with -1
+    members: Int[Array, "width around+1"]  # the cells around a mover, and (last) itself
+    around: Posts  # where those around are, [width, around]
+    before: Posts  # the movers, [width]
+    after: Posts
+
+
+def open_round(movers: Array, place: Posts, proposed: Posts, near: Neighborhoods) -> Round:
+    """What a round's moves are about, gathered once."""
+    truth = movers[0] < len(near.around)
+    cells = settled(lambda: near.around[movers], truth)
+    posts_of = settled(lambda: (pick(place, cells), pick(place, movers), pick(proposed, movers)), truth)
+    return Round(movers, jnp.concatenate([cells, movers[:, None]], axis=1), *posts_of)
 
 
 def find_changed(
-    movers: Array, state: TissueState, proposed: Posts, near: Neighborhoods, rules: tuple[Model, Lines]
+    moves: Round, state: TissueState, rules: tuple[Model, Lines]
 ) -> tuple[Bool[Array, "width around+1"], Bool[Array, "width around+1"]]:
     """Which of the cells around a mover, and (last) itself, its move changes, and which else it might.
 
@@ -73,23 +87,21 @@ def find_changed(
     axis.
     """
     model, lines = rules
-    tube, cells = model.tube, near.around[movers]
-    own, reach = pick(state.place, cells), state.reach[cells.ravel()]
+    tube, cells, own = model.tube, moves.members[:, :-1], moves.around
+    reach, truth = state.reach[cells.ravel()], moves.movers[0] < len(state.volume)
     spare = (0, lines.row - len(lines.number))
     grid = jax.tree.map(lambda table: jnp.pad(table[:, 0], spare), see_lines(lines, reach.dtype))
-    truth = own.axial[0, 0] > -1
 
     def against(place: Posts) -> tuple[Rivals, Array, Array]:
         """The movers as rivals of those around them, sooner by the tolerance; who are ahead, who level."""
-        mover = jax.tree.map(lambda column: column[:, None], pick(place, movers))
-        gap, cosine = mover.axial - own.axial, mover.cosine * own.cosine + mover.sine * own.sine
-        sine = mover.sine * own.cosine - mover.cosine * own.sine
-        floor = LEVEL * tube.apical_radius * jnp.sqrt(sine**2 + (1 - cosine) ** 2)
+        mover = jax.tree.map(lambda column: column[:, None], place)
+        gap, (versine, sine) = mover.axial - own.axial, turn_between(own, mover)
+        floor = LEVEL * tube.apical_radius * jnp.sqrt(2 * versine)
         apart = jnp.maximum(jnp.maximum(jnp.abs(gap), floor), 1e-30)
-        rivals = Rivals(apart / 2 - SLACK * tube.basal_radius, 0.5 / apart, cosine, sine)
+        rivals = Rivals(apart / 2 - SLACK * tube.basal_radius, 0.5 / apart, versine, sine)
         return rivals, gap > 0, jnp.abs(gap) <= floor
 
-    now, then = (settled(lambda place=place: against(place), truth) for place in (state.place, proposed))
+    now, then = (settled(lambda at=at: against(at), truth) for at in (moves.before, moves.after))
 
     def undercuts(rivals: Rivals, is_ahead: Array) -> Array:
         meets = meeting(grid, jax.tree.map(lambda column: column.reshape(-1, 1), rivals), tube)
@@ -98,13 +110,25 @@ def find_changed(
 
     touched = jnp.where(undercuts(*now[:2]) | undercuts(*then[:2]), 1.0, 0.0)
     touched = (touched.max(axis=1) > 0).reshape(cells.shape)
-    moves = (movers >= 0)[:, None]
-    real = (cells != movers[:, None]) & moves
+    is_move = (moves.movers >= 0)[:, None]
+    real = (cells != moves.movers[:, None]) & is_move
     perhaps = real & ~touched & (state.wide[cells] | now[2] | then[2])
     return (
-        jnp.concatenate([real & touched, moves], axis=1),
-        jnp.concatenate([perhaps, jnp.zeros_like(moves)], axis=1),
+        jnp.concatenate([real & touched, is_move], axis=1),
+        jnp.concatenate([perhaps, jnp.zeros_like(is_move)], axis=1),
     )
+
+
+def count_left(moves: Round, tube: Tube) -> Int[Array, ""]:
+    """Moves whose apical end lands in another cell (the paper would not propose them)."""
+
+    def square(others: Posts, to: Posts) -> Array:
+        versine, _ = turn_between(others, to)
+        return (to.axial - others.axial) ** 2 + 2 * tube.apical_radius**2 * versine
+
+    nearest = square(moves.around, jax.tree.map(lambda column: column[:, None], moves.after)).min(axis=1)
+    left = (nearest < square(moves.before, moves.after)) & (moves.movers >= 0)
+    return left.sum(dtype=jnp.int32)
 
 
 def room(changed: Bool[Array, "width around+1"]) -> int:
@@ -112,16 +136,12 @@ def room(changed: Bool[Array, "width around+1"]) -> int:
     return min(changed.size, max(changed.shape[1], ROOM * changed.shape[0]))
 
 
-def find_collisions(changed: Array, movers: Array, near: Neighborhoods) -> Bool[Array, "width"]:
-    """Moves that would change a cell which an earlier move of the round changes too."""
-    n, width = len(near.around), len(movers)
+def find_collisions(changed: Bool[Array, "width around+1"], moves: Round, n: int) -> Bool[Array, "width"]:
+    """Moves that would change a cell, of `n`, which an earlier move of the round changes too."""
+    cells, width = moves.members, len(changed)
     order = jnp.arange(width)[:, None]
-    cells = members(movers, near)
-    first = (
-        jnp.full(n, width)
-        .at[jnp.where(changed, cells, n)]
-        .min(jnp.broadcast_to(order, cells.shape), mode="drop")
-    )
+    at = jnp.where(changed, cells, n)
+    first = jnp.full(n, width).at[at].min(jnp.broadcast_to(order, at.shape), mode="drop")
     return (changed & (first[cells] < order)).any(axis=1)
 
 
@@ -155,25 +175,27 @@ def pack(chosen: Bool[Array, "..."], early: Bool[Array, "..."], size: int) -> In
 
 def measure_changes(
     changed: Array,
-    movers: Array,
+    moves: Round,
     state: TissueState,
     proposed: Posts,
     near: Neighborhoods,
     rules: tuple[Model, Lines],
+    reach: Array,
 ) -> Changes:
-    """Measure every changed cell as if its one move were made, in as many blocks as it takes."""
+    """Measure every changed cell as if its one move were made, in as many blocks as it takes.
+
+    `reach` is where the new reaches go: room that was used before, as clearing it takes long.
+    """
     model, lines = rules
     size = room(changed)
-    cells = members(movers, near)
-    item = pack(changed, state.wide[cells], size)
-    move, cell = item // changed.shape[1], cells.ravel()[item]
+    item = pack(changed, state.wide[moves.members], size)
+    move, cell = item // changed.shape[1], moves.members.ravel()[item]
     total = changed.sum(dtype=jnp.int32)
     blank = jnp.zeros(size, state.volume.dtype)
-    reach = jnp.zeros((size, *state.reach.shape[1:]), blank.dtype)
     start = Changes(item, move, cell, total, blank, blank, reach, blank > 0)
 
     def measure(items: Array, shift: Array, done: Changes) -> tuple[Changes, Array]:
-        mover, which = movers[move[items]], cell[items]
+        mover, which = moves.movers[move[items]], cell[items]
         rivals = near.sides[which].transpose(2, 1, 0)
 
         def moved(index: Array) -> Posts:

@@ -15,13 +15,14 @@ from jaxtissue.changes import (
     Neighborhoods,
     TissueState,
     apply,
+    count_left,
     drop_unchanged,
     find_changed,
     find_collisions,
     local_differences,
     measure_changes,
-    members,
-    pick,
+    open_round,
+    room,
 )
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines
@@ -92,7 +93,7 @@ def sweep(
         return (number < count) | deferred.any()
 
     def play(carry: tuple) -> tuple:
-        number, deferred, state, info = carry
+        number, deferred, state, info, reach = carry
         planned = number < count
         # of those put off the first collides with none, so that there are fewer every time
         movers = jax.lax.cond(
@@ -101,15 +102,16 @@ def sweep(
             lambda: jnp.nonzero(deferred, size=rounds.shape[1], fill_value=-1)[0].astype(rounds.dtype),
         )
         deferred = deferred.at[jnp.where(planned | (movers < 0), n, movers)].set(False, mode="drop")
-        touched, perhaps = find_changed(movers, state, proposed, near, (model, lines))
-        collides = find_collisions(touched, movers, near)
+        moves = open_round(movers, state.place, proposed, near)
+        touched, perhaps = find_changed(moves, state, (model, lines))
+        collides = find_collisions(touched, moves, n)
         measured = (touched | perhaps) & ~collides[:, None]
         crowded = jnp.cumsum(measured.sum(axis=1)) > order.room
         measured &= ~crowded[:, None]
-        changes = measure_changes(measured, movers, state, proposed, near, (model, lines))
+        changes = measure_changes(measured, moves, state, proposed, near, (model, lines), reach)
         real = drop_unchanged(changes, touched, state, model)
         changed = jnp.zeros(touched.size, bool).at[changes.item].max(real).reshape(touched.shape)
-        collides |= find_collisions(changed, movers, near)
+        collides |= find_collisions(changed, moves, n)
         put_off = collides | (crowded & (movers >= 0))
         difference = local_differences(changes, real, state, model, len(movers))
         weight = jnp.exp(-jnp.maximum(difference, 0) / jnp.maximum(temperature, jnp.finfo(chance.dtype).tiny))
@@ -118,7 +120,7 @@ def sweep(
         info = SweepInfo(
             info.accepted + accept.sum(dtype=jnp.int32),
             info.collisions + (collides & planned).sum(dtype=jnp.int32),
-            info.left_cell + count_left(movers, state.place, proposed, near, model),
+            info.left_cell + count_left(moves, model.tube),
             info.rounds + 1,
             info.energy_change + jnp.where(accept, difference, 0).sum(),
         )
@@ -127,22 +129,13 @@ def sweep(
             deferred,
             apply(changes, real & accept[changes.move], jnp.where(accept, movers, n), proposed, state),
             info,
+            changes.reach,
         )
 
     zero = jnp.zeros((), jnp.int32)
     nothing = SweepInfo(zero, zero, zero, zero, jnp.zeros((), chance.dtype))
-    start = (zero, jnp.zeros(len(chance), bool), state, nothing)
-    _, _, state, info = jax.lax.while_loop(unplayed, play, start)
+    size = room(jnp.empty((rounds.shape[1], near.around.shape[1] + 1), bool))
+    reach = jnp.zeros((size, *state.reach.shape[1:]), chance.dtype)
+    start = (zero, jnp.zeros(n, bool), state, nothing, reach)
+    _, _, state, info, _ = jax.lax.while_loop(unplayed, play, start)
     return state, info
-
-
-def count_left(
-    movers: Array, place: Posts, proposed: Posts, near: Neighborhoods, model: Model
-) -> Int[Array, ""]:
-    """Moves whose apical end lands in another cell (the paper would not propose them)."""
-    cells = members(movers, near)
-    to, posts_around = pick(proposed, movers), pick(place, cells)
-    cosine = posts_around.cosine * to.cosine[:, None] + posts_around.sine * to.sine[:, None]
-    square = (posts_around.axial - to.axial[:, None]) ** 2 + 2 * model.tube.apical_radius**2 * (1 - cosine)
-    left = square[:, :-1].min(axis=1) < square[:, -1]
-    return (left & (movers >= 0)).sum(dtype=jnp.int32)

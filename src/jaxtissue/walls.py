@@ -5,6 +5,9 @@ f_j = y^2 + (s - z)^2, z = r cos(t - t_j), y = r sin(t - t_j), s = max(z, R_a) t
 cell is one interval on each line; seen from x_i it ends where the nearest rival takes over, at a *reach* of
 h = |x_j - x_i| / 2 + (f_j - f_i) / (2 |x_j - x_i|) ahead (x_j > x_i) and behind, two mirrored sides. Between
 two lines each side is taken as the two tangents of the walls h(t), whose slope and tilt are closed forms.
+
+All is written in the line's sagitta g = r - z, as f_j = 2 r g - m (2 g - m) with m = r - s = min(g, r - R_a):
+fewer operations than in z and y, and no digits are lost where cells are narrow against r.
 """
 
 from collections.abc import Callable
@@ -39,6 +42,7 @@ class Grid(NamedTuple):
 
     radius: Array
     turned: Array  # z + i y: one complex table is written in one loop, four real ones in four
+    sagitta: Array  # r - z
 
     @property
     def z(self) -> Array:
@@ -50,13 +54,18 @@ class Grid(NamedTuple):
         """Component across it."""
         return self.turned.imag
 
-    def foot(self, tube: Tube) -> Array:
-        """Radius of the own foot s."""
-        return larger(self.z, tube.apical_radius)
+    def sunk(self, tube: Tube) -> Array:
+        """By how much the own foot lies below the line, m."""
+        return smaller(self.sagitta, self.radius - tube.apical_radius)
 
     def square(self, tube: Tube) -> Array:
         """Squared distance f to it."""
-        return self.y**2 + larger(tube.apical_radius - self.z, 0.0) ** 2
+        sunk = self.sunk(tube)
+        return 2 * self.radius * self.sagitta - sunk * (2 * self.sagitta - sunk)
+
+    def facing(self, rival: "Rivals") -> Array:
+        """The sagitta from rivals."""
+        return self.sagitta + self.z * rival.versine - self.y * rival.sine
 
 
 class Rivals(NamedTuple):
@@ -64,7 +73,7 @@ class Rivals(NamedTuple):
 
     half: Array  # |x_j - x_i| / 2
     slant: Array  # 1 / (4 half)
-    cosine: Array  # of t_j - t_i
+    versine: Array  # 1 - cosine, and sine of t_j - t_i
     sine: Array
 
 
@@ -102,6 +111,11 @@ def larger(first: Array, second: Array | float) -> Array:
     return jnp.where(first > second, first, second)
 
 
+def smaller(first: Array, second: Array | float) -> Array:
+    """The smaller of two, as `larger`."""
+    return jnp.where(first < second, first, second)
+
+
 def posts(positions: Float[Array | np.ndarray, "... 2"]) -> Posts:
     """The backbones at (axial, angle) positions."""
     angle = positions[..., 1]
@@ -117,12 +131,20 @@ def see_window(lines: Lines, dtype: np.dtype, shift: Int[Array, "cells"], truth:
     """The lines round each backbone, [lines, cells], in windows onward: those of the middle one, turned."""
     middle, turn = see_lines(lines, dtype), lines.turn(dtype, shift)
     onward = settled(lambda: jax.lax.complex(jnp.cos(turn), jnp.sin(turn)), truth)
-    return settled(lambda: Grid(middle.radius, middle.turned * onward[lines.layer]), truth)
+    turned = settled(lambda: middle.turned * onward[lines.layer], truth)
+    return Grid(middle.radius, turned, settled(lambda: sagitta_of(middle.radius, turned), truth))
 
 
 def see_angles(radius: Array, offset: Array) -> Grid:
     """Lines at the given radii and angles from the backbones."""
-    return Grid(radius, jax.lax.complex(radius * jnp.cos(offset), radius * jnp.sin(offset)))
+    turned = jax.lax.complex(radius * jnp.cos(offset), radius * jnp.sin(offset))
+    return Grid(radius, turned, sagitta_of(radius, turned))
+
+
+def sagitta_of(radius: Array, turned: Array) -> Array:
+    """r - z, of z + i y; without loss of digits where it is small."""
+    z, y = turned.real, turned.imag
+    return jnp.where(z > 0, y * y / (radius + larger(z, 0.0)), radius - z)
 
 
 def see_others(own: Posts, others: Posts, first: Array, tube: Tube) -> tuple[Rivals, Array]:
@@ -131,14 +153,17 @@ def see_others(own: Posts, others: Posts, first: Array, tube: Tube) -> tuple[Riv
     No wall may be parallel to the axis: of two backbones at the same height the one that is `first` counts as
     lying behind, and all are taken as LEVEL times their distance apart along the axis.
     """
-    cosine = others.cosine * own.cosine + others.sine * own.sine
-    sine = others.sine * own.cosine - others.cosine * own.sine
-    gap = others.axial - own.axial
+    gap, (versine, sine) = others.axial - own.axial, turn_between(own, others)
     # exactly 0 for the cell itself, which pads the lists
-    chord = jnp.sqrt((others.cosine - own.cosine) ** 2 + (others.sine - own.sine) ** 2)
-    apart = jnp.maximum(jnp.abs(gap), LEVEL * tube.apical_radius * chord)
+    apart = jnp.maximum(jnp.abs(gap), LEVEL * tube.apical_radius * jnp.sqrt(2 * versine))
     half = jnp.where(apart > 0, apart / 2, FAR)
-    return Rivals(half, 0.25 / half, cosine, sine), (gap > 0) | ((gap == 0) & ~first)
+    return Rivals(half, 0.25 / half, versine, sine), (gap > 0) | ((gap == 0) & ~first)
+
+
+def turn_between(own: Posts, others: Posts) -> tuple[Array, Array]:
+    """Versine (half the squared chord) and sine of the angle from backbones to others."""
+    versine = ((others.cosine - own.cosine) ** 2 + (others.sine - own.sine) ** 2) / 2
+    return versine, others.sine * own.cosine - others.cosine * own.sine
 
 
 def see_rivals(own: Posts, others: Posts, first: Array, tube: Tube) -> Rivals:
@@ -150,9 +175,10 @@ def see_rivals(own: Posts, others: Posts, first: Array, tube: Tube) -> Rivals:
 
 def meeting(grid: Grid, rival: Rivals, tube: Tube) -> Array:
     """The reach h = |dx| / 2 + (f_j - f_i) / (2 |dx|) against rivals, on lines."""
-    z, y = grid.z * rival.cosine + grid.y * rival.sine, grid.y * rival.cosine - grid.z * rival.sine
-    inward = larger(tube.apical_radius - z, 0.0)
-    return rival.half + (y * y + inward * inward - grid.square(tube)) * rival.slant
+    sagitta = grid.facing(rival)
+    sunk = smaller(sagitta, grid.radius - tube.apical_radius)
+    farther = 2 * grid.radius * sagitta - grid.square(tube) - sunk * (2 * sagitta - sunk)
+    return rival.half + farther * rival.slant
 
 
 def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> Int[Array, "lines 2 cells"]:
@@ -205,21 +231,23 @@ def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth:
     def facing(table: Array) -> Array:
         return settled(lambda: table.ravel().at[at].get(mode="promise_in_bounds"), truth)
 
-    turn, half = facing(jax.lax.complex(rivals.cosine, rivals.sine)), facing(rivals.half)
+    turn, half = facing(jax.lax.complex(rivals.versine, rivals.sine)), facing(rivals.half)
     line = jax.tree.map(lambda table: table[:, None], grid)
-    chord = rivals.sine**2 + (1 - rivals.cosine) ** 2
-    # the floor of `see_others`, and rounding
-    level = (rivals.half**2 <= (0.5005 * LEVEL * tube.apical_radius) ** 2 * chord).any()
+    level = is_level(rivals, tube).any()
 
     def wall(some_level: bool) -> Walls:
-        cosine, sine, per_gap = turn.real, turn.imag, 0.5 / half
-        z, y = line.z * cosine + line.y * sine, line.y * cosine - line.z * sine
-        foot, own_foot = larger(z, tube.apical_radius), line.foot(tube)
-        reach = half + (y * y + (foot - z) ** 2 - line.square(tube)) * per_gap / 2
-        slope = (foot * y - own_foot * line.y) * per_gap
-        tilt = (foot * z - own_foot * line.z) * per_gap
+        per_gap = 0.5 / half
+        rival = Rivals(half, per_gap / 2, turn.real, turn.imag)
+        sagitta, y = line.facing(rival), line.y - line.y * rival.versine - line.z * rival.sine
+        sunk, own_sunk = smaller(sagitta, line.radius - tube.apical_radius), line.sunk(tube)
+        farther = 2 * line.radius * sagitta - line.square(tube) - sunk * (2 * sagitta - sunk)
+        reach = half + farther * rival.slant
+        slope = ((line.radius - sunk) * y - (line.radius - own_sunk) * line.y) * per_gap
+        # the feet's s z = (r - m) (r - g), less the common r^2
+        lower = line.radius * (own_sunk + line.sagitta - sunk - sagitta)
+        tilt = (lower + sunk * sagitta - own_sunk * line.sagitta) * per_gap
         if some_level:
-            slope, tilt = towards_plane(Rivals(half, per_gap, cosine, sine), line, reach, (slope, tilt), tube)
+            slope, tilt = towards_plane(rival, line, reach, (slope, tilt), tube)
         slope = jnp.where(end, 0, slope)
         per_square = 1 / line.radius**2
         area = jnp.sqrt(1 + (slope**2 + tilt**2) * per_square)
@@ -230,6 +258,11 @@ def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth:
     return jax.lax.cond(level, lambda: wall(True), lambda: wall(False))
 
 
+def is_level(rivals: Rivals, tube: Tube) -> Array:
+    """Whether walls are as close to parallel to the axis as `see_others` lets them, but for rounding."""
+    return rivals.half**2 <= (0.5005 * LEVEL * tube.apical_radius) ** 2 * 2 * rivals.versine
+
+
 def towards_plane(
     rival: Rivals, line: Grid, reach: Array, slopes: tuple[Array, Array], tube: Tube
 ) -> tuple[Array, Array]:
@@ -238,9 +271,8 @@ def towards_plane(
     There the reach is `half`, so the slope is that of the secant to it, and the tilt 0.
     """
     slope, tilt = slopes
-    z, y = line.z * rival.cosine + line.y * rival.sine, line.y * rival.cosine - line.z * rival.sine
-    chord = rival.sine**2 + (1 - rival.cosine) ** 2
-    level = rival.half**2 <= (0.5005 * LEVEL * tube.apical_radius) ** 2 * chord
+    z, y = line.radius - line.facing(rival), line.y - line.y * rival.versine - line.z * rival.sine
+    level = is_level(rival, tube)
     # tangent of the angle from the plane, of half of it, and by its series the angle
     tangent = (line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12)
     tangent = tangent / (1 + jnp.sqrt(1 + tangent**2))
