@@ -16,7 +16,7 @@ from scipy import sparse
 from jaxtissue.cells import BLOCK, CellGeometry, measure_cells
 from jaxtissue.lines import PRESETS, Resolution, plan_lines
 from jaxtissue.tube import Tube
-from jaxtissue.walls import LEVEL, Posts, posts, see_angles, see_rivals, settled, stop, walls
+from jaxtissue.walls import LEVEL, pick, posts, see_angles, see_rivals, settled, stop, walls
 
 NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
 A_SIDE = 72  # of them at most on one side, where cells at the ends of the tube have all
@@ -210,7 +210,7 @@ def tiling_defect(
         which = start + jnp.arange(width)
         cells = jnp.minimum(which, n - 1)
         numbers = lists[cells].transpose(2, 1, 0)
-        own, others = (Posts(*(column[at] for column in place)) for at in (cells, numbers))
+        own, others = pick(place, cells), pick(place, numbers)
         offset = jnp.mod(jnp.tile(angle, 5)[:, None] - own.angle + np.pi, 2 * np.pi) - np.pi
         ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
         rivals = settled(lambda: see_rivals(own, others, numbers < cells, tube), truth)

@@ -11,7 +11,20 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.lines import Lines
 from jaxtissue.tube import Tube
-from jaxtissue.walls import END, Posts, Walls, posts, see_rivals, see_window, settled, stop, strips, walls
+from jaxtissue.walls import (
+    END,
+    Posts,
+    Walls,
+    pick,
+    posts,
+    see_rivals,
+    see_window,
+    settled,
+    stop,
+    strips,
+    taken,
+    walls,
+)
 
 BLOCK = 72  # cells measured at once, 8 times an odd number: of 64 or 128 rows evict each other from the cache
 
@@ -188,9 +201,9 @@ def measure_cells(
     )
 
     def measure(items: Array, shift: Array, done: Survey) -> tuple[Survey, Array]:
-        members = which[items]
-        rivals = neighbors[members].transpose(2, 1, 0)
-        own, others = (Posts(*(column[at] for column in table)) for at in (members, rivals))
+        members = taken(which, items)
+        rivals = taken(neighbors, members).transpose(2, 1, 0)
+        own, others = pick(table, members), pick(table, rivals)
         window = measure_window(own, others, rivals < members, tube, lines, shift)
         return add_window(items, shift, window, done), window.onward
 

@@ -11,7 +11,18 @@ from jaxtissue.cells import BLOCK, CellGeometry, Survey, measure_window, through
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines
 from jaxtissue.tube import Tube
-from jaxtissue.walls import LEVEL, Posts, Rivals, meeting, posts, see_lines, settled, turn_between
+from jaxtissue.walls import (
+    LEVEL,
+    Posts,
+    Rivals,
+    meeting,
+    pick,
+    posts,
+    see_lines,
+    settled,
+    taken,
+    turn_between,
+)
 
 ROOM = 20  # cells that a move may change, on average over a round: twice as many as it does
 SLACK = 1e-5  # of a reach and of R_b, by which a wall may miss a cell and counts as bounding it
@@ -53,11 +64,6 @@ def tissue_state(positions: Float[Array, "n 2"], seen: Survey) -> TissueState:
     return TissueState(posts(positions), sizes.volume, sizes.lateral_area, seen.reach, seen.wide)
 
 
-def pick(place: Posts, which: Array) -> Posts:
-    """The backbones of the given numbers."""
-    return Posts(*(column[which] for column in place))
-
-
 class Round(NamedTuple):
     """Moves of one round: of whom, from where to where, and who is around."""
 
@@ -71,7 +77,7 @@ class Round(NamedTuple):
 def open_round(movers: Array, place: Posts, proposed: Posts, near: Neighborhoods) -> Round:
     """What a round's moves are about, gathered once."""
     truth = movers[0] < len(near.around)
-    cells = settled(lambda: near.around[movers], truth)
+    cells = settled(lambda: taken(near.around, movers), truth)
     posts_of = settled(lambda: (pick(place, cells), pick(place, movers), pick(proposed, movers)), truth)
     return Round(movers, jnp.concatenate([cells, movers[:, None]], axis=1), *posts_of)
 
@@ -88,7 +94,7 @@ def find_changed(
     """
     model, lines = rules
     tube, cells, own = model.tube, moves.members[:, :-1], moves.around
-    reach, truth = state.reach[cells.ravel()], moves.movers[0] < len(state.volume)
+    reach, truth = taken(state.reach, cells.ravel()), moves.movers[0] < len(state.volume)
     spare = (0, lines.row - len(lines.number))
     grid = jax.tree.map(lambda table: jnp.pad(table[:, 0], spare), see_lines(lines, reach.dtype))
 
@@ -112,7 +118,7 @@ def find_changed(
     touched = (touched.max(axis=1) > 0).reshape(cells.shape)
     is_move = (moves.movers >= 0)[:, None]
     real = (cells != moves.movers[:, None]) & is_move
-    perhaps = real & ~touched & (state.wide[cells] | now[2] | then[2])
+    perhaps = real & ~touched & (taken(state.wide, cells) | now[2] | then[2])
     return (
         jnp.concatenate([real & touched, is_move], axis=1),
         jnp.concatenate([perhaps, jnp.zeros_like(is_move)], axis=1),
@@ -142,7 +148,7 @@ def find_collisions(changed: Bool[Array, "width around+1"], moves: Round, n: int
     order = jnp.arange(width)[:, None]
     at = jnp.where(changed, cells, n)
     first = jnp.full(n, width).at[at].min(jnp.broadcast_to(order, at.shape), mode="drop")
-    return (changed & (first[cells] < order)).any(axis=1)
+    return (changed & (taken(first, cells) < order)).any(axis=1)
 
 
 def pack(chosen: Bool[Array, "..."], early: Bool[Array, "..."], size: int) -> Int[Array, "size"]:
@@ -188,20 +194,19 @@ def measure_changes(
     """
     model, lines = rules
     size = room(changed)
-    item = pack(changed, state.wide[moves.members], size)
-    move, cell = item // changed.shape[1], moves.members.ravel()[item]
+    item = pack(changed, taken(state.wide, moves.members), size)
+    move, cell = item // changed.shape[1], taken(moves.members.ravel(), item)
     total = changed.sum(dtype=jnp.int32)
     blank = jnp.zeros(size, state.volume.dtype)
     start = Changes(item, move, cell, total, blank, blank, reach, blank > 0)
 
     def measure(items: Array, shift: Array, done: Changes) -> tuple[Changes, Array]:
-        mover, which = moves.movers[move[items]], cell[items]
-        rivals = near.sides[which].transpose(2, 1, 0)
+        mover, which = taken(moves.movers, taken(move, items)), taken(cell, items)
+        rivals, to = taken(near.sides, which).transpose(2, 1, 0), pick(proposed, mover)
 
         def moved(index: Array) -> Posts:
-            return jax.tree.map(
-                lambda old, new: jnp.where(index == mover, new[mover], old[index]), state.place, proposed
-            )
+            here = pick(state.place, index)
+            return jax.tree.map(lambda old, new: jnp.where(index == mover, new, old), here, to)
 
         window = measure_window(moved(which), moved(rivals), rivals < which, model.tube, lines, shift)
         at = jnp.where(shift == 0, items, size)
@@ -221,9 +226,9 @@ def drop_unchanged(
 ) -> Bool[Array, "items"]:
     """Which of the cells measured their move changes: those touched, and of the others those that differ."""
     tiny = 1000 * jnp.finfo(state.volume.dtype).eps * model.mean_volume
-    differs = jnp.abs(changes.volume - state.volume[changes.cell]) > tiny
-    differs |= jnp.abs(changes.lateral_area - state.lateral_area[changes.cell]) > tiny
-    return (touched.ravel()[changes.item] | differs) & (jnp.arange(len(changes.item)) < changes.total)
+    differs = jnp.abs(changes.volume - taken(state.volume, changes.cell)) > tiny
+    differs |= jnp.abs(changes.lateral_area - taken(state.lateral_area, changes.cell)) > tiny
+    return (taken(touched.ravel(), changes.item) | differs) & (jnp.arange(len(changes.item)) < changes.total)
 
 
 def local_differences(
@@ -231,7 +236,8 @@ def local_differences(
 ) -> Float[Array, "width"]:
     """Energy difference of each move: the sum over the cells it changes."""
     new = model.cell_energy(CellGeometry(changes.volume, changes.lateral_area), model)
-    old = model.cell_energy(CellGeometry(state.volume[changes.cell], state.lateral_area[changes.cell]), model)
+    before = (taken(size, changes.cell) for size in (state.volume, state.lateral_area))
+    old = model.cell_energy(CellGeometry(*before), model)
     return jnp.zeros(width, new.dtype).at[changes.move].add(jnp.where(real, new - old, 0))
 
 

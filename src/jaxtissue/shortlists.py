@@ -16,7 +16,19 @@ from jaxtissue.candidates import least, linked, padded
 from jaxtissue.cells import BLOCK
 from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.tube import Tube
-from jaxtissue.walls import FAR, Grid, Posts, larger, meeting, posts, see_lines, see_others, settled, smaller
+from jaxtissue.walls import (
+    FAR,
+    Grid,
+    larger,
+    meeting,
+    pick,
+    posts,
+    see_lines,
+    see_others,
+    settled,
+    smaller,
+    taken,
+)
 
 CANDIDATES = 24  # on each side of a cell: three times as many as bound it
 FEW = 500  # cells for which these do; of more, one lacks a candidate as seldom if all have more
@@ -51,8 +63,8 @@ def clearance(
 
     def block(start: Array) -> Array:
         which = start + jnp.arange(width)
-        those = lists[which].transpose(2, 1, 0)
-        own, others = (Posts(*(column[at] for column in place)) for at in (which, those))
+        those = taken(lists, which).transpose(2, 1, 0)
+        own, others = pick(place, which), pick(place, those)
         ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
         rivals, is_ahead = settled(lambda: see_others(own, others, those < which, tube), truth)
         here = settled(lambda: jnp.where(is_ahead == jnp.array([False, True])[:, None], 0.0, FAR), truth)

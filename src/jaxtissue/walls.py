@@ -116,6 +116,17 @@ def smaller(first: Array, second: Array | float) -> Array:
     return jnp.where(first < second, first, second)
 
 
+def taken(table: Array, at: Array) -> Array:
+    """Rows of a table; unlike `table[at]` not from its end where `at` is negative, which takes half as long
+    again."""
+    return table.at[at].get(mode="clip", wrap_negative_indices=False)
+
+
+def pick(place: Posts, which: Array) -> Posts:
+    """The backbones of the given numbers."""
+    return Posts(*(taken(column, which) for column in place))
+
+
 def posts(positions: Float[Array | np.ndarray, "... 2"]) -> Posts:
     """The backbones at (axial, angle) positions."""
     angle = positions[..., 1]
@@ -229,7 +240,7 @@ def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth:
     at = jnp.maximum(by, 0) * (2 * cells) + jnp.arange(2 * cells, dtype=by.dtype).reshape(2, cells)
 
     def facing(table: Array) -> Array:
-        return settled(lambda: table.ravel().at[at].get(mode="promise_in_bounds"), truth)
+        return settled(lambda: taken(table.ravel(), at), truth)
 
     turn, half = facing(jax.lax.complex(rivals.versine, rivals.sine)), facing(rivals.half)
     line = jax.tree.map(lambda table: table[:, None], grid)
