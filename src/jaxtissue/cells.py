@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxtissue.indexing import PUT, taken
 from jaxtissue.lines import Lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import (
@@ -22,7 +23,6 @@ from jaxtissue.walls import (
     settled,
     stop,
     strips,
-    taken,
     walls,
 )
 
@@ -142,8 +142,8 @@ def through_windows(
             to = jnp.where(onward, (queue.end + rank - 1) % capacity, capacity)
             item, onto = jnp.broadcast_to(items, onward.shape), shift + jnp.array([[-1], [1]], jnp.int32)
             return (
-                queue.item.at[to].set(item, mode="drop"),
-                queue.shift.at[to].set(onto, mode="drop"),
+                queue.item.at[to].set(item, **PUT),
+                queue.shift.at[to].set(onto, **PUT),
                 queue.end + rank[-1, -1],
             )
 
@@ -216,8 +216,8 @@ def add_window(items: Array, shift: Array, window: Window, done: Survey) -> Surv
 
     def add(known: Array, more: Array) -> Array:
         if known.dtype == bool:
-            return known.at[items].max(more, mode="drop")
-        return known.at[items].add(more, mode="drop")
+            return known.at[items].max(more, **PUT)
+        return known.at[items].add(more, **PUT)
 
     at = jnp.where(shift == 0, items, len(done.wide))
     side, none = jnp.arange(2)[:, None], done.touched.shape[2]
@@ -225,8 +225,8 @@ def add_window(items: Array, shift: Array, window: Window, done: Survey) -> Surv
     toucher = jnp.where(window.reach.transpose(2, 1, 0) > -jnp.inf, stopper, none)
     return Survey(
         jax.tree.map(add, done.sizes, window.sizes),
-        done.wide.at[at].set(window.onward.any(axis=0), mode="drop"),
-        done.reach.at[at].set(window.reaches(done.reach.shape[2]), mode="drop"),
-        done.touched.at[items[:, None, None], side, toucher].set(True, mode="drop"),
-        done.stops.at[at[:, None, None], side, stopper].set(True, mode="drop"),
+        done.wide.at[at].set(window.onward.any(axis=0), **PUT),
+        done.reach.at[at].set(window.reaches(done.reach.shape[2]), **PUT),
+        done.touched.at[items[:, None, None], side, toucher].set(True, **PUT),
+        done.stops.at[at[:, None, None], side, stopper].set(True, **PUT),
     )

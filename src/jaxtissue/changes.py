@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.cells import BLOCK, CellGeometry, Survey, measure_window, through_windows
 from jaxtissue.energy import Model
+from jaxtissue.indexing import PUT, taken
 from jaxtissue.lines import Lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import (
@@ -20,7 +21,6 @@ from jaxtissue.walls import (
     posts,
     see_lines,
     settled,
-    taken,
     turn_between,
 )
 
@@ -147,7 +147,7 @@ def find_collisions(changed: Bool[Array, "width around+1"], moves: Round, n: int
     cells, width = moves.members, len(changed)
     order = jnp.arange(width)[:, None]
     at = jnp.where(changed, cells, n)
-    first = jnp.full(n, width).at[at].min(jnp.broadcast_to(order, at.shape), mode="drop")
+    first = jnp.full(n, width).at[at].min(jnp.broadcast_to(order, at.shape), **PUT)
     return (changed & (taken(first, cells) < order)).any(axis=1)
 
 
@@ -176,7 +176,7 @@ def pack(chosen: Bool[Array, "..."], early: Bool[Array, "..."], size: int) -> In
         return jnp.where(kind > 0, rank, size)
 
     places = jnp.arange(kind.size, dtype=jnp.int32)
-    return jnp.zeros(size, jnp.int32).at[settled(ranks, truth).ravel()].set(places, mode="drop")
+    return jnp.zeros(size, jnp.int32).at[settled(ranks, truth).ravel()].set(places, **PUT)
 
 
 def measure_changes(
@@ -211,10 +211,10 @@ def measure_changes(
         window = measure_window(moved(which), moved(rivals), rivals < which, model.tube, lines, shift)
         at = jnp.where(shift == 0, items, size)
         done = done._replace(
-            volume=done.volume.at[items].add(window.sizes.volume, mode="drop"),
-            lateral_area=done.lateral_area.at[items].add(window.sizes.lateral_area, mode="drop"),
-            reach=done.reach.at[at].set(window.reaches(lines.row), mode="drop"),
-            wide=done.wide.at[at].set(window.onward.any(axis=0), mode="drop"),
+            volume=done.volume.at[items].add(window.sizes.volume, **PUT),
+            lateral_area=done.lateral_area.at[items].add(window.sizes.lateral_area, **PUT),
+            reach=done.reach.at[at].set(window.reaches(lines.row), **PUT),
+            wide=done.wide.at[at].set(window.onward.any(axis=0), **PUT),
         )
         return done, window.onward
 
@@ -238,7 +238,7 @@ def local_differences(
     new = model.cell_energy(CellGeometry(changes.volume, changes.lateral_area), model)
     before = (taken(size, changes.cell) for size in (state.volume, state.lateral_area))
     old = model.cell_energy(CellGeometry(*before), model)
-    return jnp.zeros(width, new.dtype).at[changes.move].add(jnp.where(real, new - old, 0))
+    return jnp.zeros(width, new.dtype).at[changes.move].add(jnp.where(real, new - old, 0), **PUT)
 
 
 def apply(
@@ -248,9 +248,9 @@ def apply(
     n = len(state.volume)
     cell = jnp.where(accepted, changes.cell, n)
     return TissueState(
-        jax.tree.map(lambda old, new: old.at[movers].set(new[movers], mode="drop"), state.place, proposed),
-        state.volume.at[cell].set(changes.volume, mode="drop"),
-        state.lateral_area.at[cell].set(changes.lateral_area, mode="drop"),
-        state.reach.at[cell].set(changes.reach, mode="drop"),
-        state.wide.at[cell].set(changes.wide, mode="drop"),
+        jax.tree.map(lambda old, new: old.at[movers].set(taken(new, movers), **PUT), state.place, proposed),
+        state.volume.at[cell].set(changes.volume, **PUT),
+        state.lateral_area.at[cell].set(changes.lateral_area, **PUT),
+        state.reach.at[cell].set(changes.reach, **PUT),
+        state.wide.at[cell].set(changes.wide, **PUT),
     )

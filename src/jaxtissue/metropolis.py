@@ -25,6 +25,7 @@ from jaxtissue.changes import (
     room,
 )
 from jaxtissue.energy import Model
+from jaxtissue.indexing import PUT, taken
 from jaxtissue.lines import Lines
 from jaxtissue.walls import Posts, posts
 
@@ -101,7 +102,7 @@ def sweep(
             lambda: rounds[jnp.minimum(number, len(rounds) - 1)],
             lambda: jnp.nonzero(deferred, size=rounds.shape[1], fill_value=-1)[0].astype(rounds.dtype),
         )
-        deferred = deferred.at[jnp.where(planned | (movers < 0), n, movers)].set(False, mode="drop")
+        deferred = deferred.at[jnp.where(planned | (movers < 0), n, movers)].set(False, **PUT)
         moves = open_round(movers, state.place, proposed, near)
         touched, perhaps = find_changed(moves, state, (model, lines))
         collides = find_collisions(touched, moves, n)
@@ -110,13 +111,13 @@ def sweep(
         measured &= ~crowded[:, None]
         changes = measure_changes(measured, moves, state, proposed, near, (model, lines), reach)
         real = drop_unchanged(changes, touched, state, model)
-        changed = jnp.zeros(touched.size, bool).at[changes.item].max(real).reshape(touched.shape)
+        changed = jnp.zeros(touched.size, bool).at[changes.item].max(real, **PUT).reshape(touched.shape)
         collides |= find_collisions(changed, moves, n)
         put_off = collides | (crowded & (movers >= 0))
         difference = local_differences(changes, real, state, model, len(movers))
         weight = jnp.exp(-jnp.maximum(difference, 0) / jnp.maximum(temperature, jnp.finfo(chance.dtype).tiny))
-        accept = (movers >= 0) & ~put_off & (chance[movers] < weight)
-        deferred = deferred.at[jnp.where(put_off, movers, n)].set(True, mode="drop")
+        accept = (movers >= 0) & ~put_off & (taken(chance, movers) < weight)
+        deferred = deferred.at[jnp.where(put_off, movers, n)].set(True, **PUT)
         info = SweepInfo(
             info.accepted + accept.sum(dtype=jnp.int32),
             info.collisions + (collides & planned).sum(dtype=jnp.int32),
@@ -127,7 +128,7 @@ def sweep(
         return (
             number + 1,
             deferred,
-            apply(changes, real & accept[changes.move], jnp.where(accept, movers, n), proposed, state),
+            apply(changes, real & taken(accept, changes.move), jnp.where(accept, movers, n), proposed, state),
             info,
             changes.reach,
         )

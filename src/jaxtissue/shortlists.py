@@ -14,6 +14,7 @@ from scipy import sparse
 
 from jaxtissue.candidates import least, linked, padded
 from jaxtissue.cells import BLOCK
+from jaxtissue.indexing import taken
 from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.tube import Tube
 from jaxtissue.walls import (
@@ -27,7 +28,6 @@ from jaxtissue.walls import (
     see_others,
     settled,
     smaller,
-    taken,
 )
 
 CANDIDATES = 24  # on each side of a cell: three times as many as bound it

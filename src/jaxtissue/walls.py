@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
+from jaxtissue.indexing import taken
 from jaxtissue.lines import Lines
 from jaxtissue.tube import Tube
 
@@ -114,12 +115,6 @@ def larger(first: Array, second: Array | float) -> Array:
 def smaller(first: Array, second: Array | float) -> Array:
     """The smaller of two, as `larger`."""
     return jnp.where(first < second, first, second)
-
-
-def taken(table: Array, at: Array) -> Array:
-    """Rows of a table; unlike `table[at]` not from its end where `at` is negative, which takes half as long
-    again."""
-    return table.at[at].get(mode="clip", wrap_negative_indices=False)
 
 
 def pick(place: Posts, which: Array) -> Posts:
