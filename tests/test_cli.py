@@ -490,3 +490,16 @@ def test_force_removes_only_what_a_run_writes(tmp_path):
     assert (folder / "notes.txt").read_text() == "mine"
     assert io.load_checkpoint(folder / "checkpoint.npz").state.sweep == 1
     assert count_rows(folder / "sweeps.csv") == 2
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_what_is_compiled_is_kept_for_the_next_command(told: bool, tmp_path):
+    """In the user's cache folder, unless JAX is told where."""
+    (tmp_path / "cells.csv").write_text(GOOD)
+    command = [sys.executable, "-m", "jaxtissue", "measure", *SIZES, "--no-contacts", "--out", "measured"]
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "user"), "HOME": str(tmp_path / "user")}
+    environment["JAX_COMPILATION_CACHE_DIR"] = str(tmp_path / "told") if told else ""
+    run = subprocess.run([*command, "cells.csv"], cwd=tmp_path, env=environment, check=True)
+    assert run.returncode == 0
+    kept = {path.relative_to(tmp_path).parts[0] for path in tmp_path.rglob("jit_measure_cells-*")}
+    assert kept == {"told" if told else "user"}

@@ -7,8 +7,8 @@ import pytest
 
 import jaxtissue
 
-TISSUE = ["backbones", "tube", "sampling", "lines", "voronoi", "spread", "walls", "cells"]
-TISSUE += ["candidates", "shortlists", "exact"]
+TISSUE = ["backbones", "tube", "sampling", "lines", "voronoi", "spread"]
+TISSUE += ["indexing", "walls", "cells", "candidates", "shortlists", "exact"]
 CONTACTS = ["leads", "fronts", "edges", "contacts", "transitions", "statistics", "laws"]
 MOVES = ["energy", "coloring", "changes", "metropolis", "spans", "rounds", "records", "programs"]
 MOVES += ["schedules", "anneal", "memory"]

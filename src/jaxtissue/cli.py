@@ -17,6 +17,7 @@ from jaxtissue.energy import tube_model
 from jaxtissue.grid_runs import check_grid_folder, run_grid
 from jaxtissue.grids import AXES, Grid
 from jaxtissue.lines import resolution_named
+from jaxtissue.programs import keep_compiled
 from jaxtissue.reproduction.reproduce import choose_items, make_plan, reproduce
 from jaxtissue.reproduction.workers import Workers, free_cores
 from jaxtissue.runs import resume_annealing, run_annealing
@@ -41,6 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = vars(command_parser().parse_args(argv))
         work = {"anneal": anneal, "sweep": sweep, "measure": measure, "compare": compare}
         work |= {"reproduce": reproduce_paper, "info": info}
+        keep_compiled()
         return work[arguments.pop("command")](arguments)
     except ValueError as error:
         return _fail(error, 2)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+import platformdirs
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 T = TypeVar("T")
@@ -51,6 +52,17 @@ class Answer(NamedTuple):
 
 
 Task = Generator[Request | Ahead, Answer, T]
+
+
+def keep_compiled() -> None:
+    """Keep what is compiled in the user's cache folder, for the next process.
+
+    Unless JAX was told of a folder (`JAX_COMPILATION_CACHE_DIR`), or to keep nothing
+    (`JAX_ENABLE_COMPILATION_CACHE=0`). A folder that can't be written to is done without.
+    """
+    if not getattr(jax.config, "jax_compilation_cache_dir", None):
+        jax.config.update("jax_compilation_cache_dir", platformdirs.user_cache_dir("jaxtissue"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 def run_together(tasks: Sequence[Task[T]], slots: int = 0) -> list[T]:
