@@ -220,7 +220,11 @@ def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> I
             )
         )
         first = length * jnp.arange(chunks, dtype=integer)
-        least, _ = jax.lax.scan(lambda least, some: (nearer(least, *some), None), start, (tables, first))
+
+        def more(least: Array, some: tuple[Rivals, Array]) -> tuple[Array, None]:
+            return settled(lambda: nearer(least, *some), truth), None
+
+        least, _ = jax.lax.scan(more, start, (tables, first))
     winner = (recast(least, integer) & ((1 << bits) - 1)).astype(jnp.int32)
     return jnp.where(least < ends, winner, END)
 
