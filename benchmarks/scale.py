@@ -19,7 +19,6 @@ import jaxtissue as jt
 from jaxtissue.anneal import SPAN
 
 WARM_UP = 2 * SPAN  # sweeps before those that are timed: in the first, lists are renewed more often
-
 FEW = 5000  # cells; of fewer more sweeps are timed, as many moves in all
 
 

@@ -37,7 +37,7 @@ from jaxtissue.shortlists import (
 )
 from jaxtissue.spans import look
 from jaxtissue.tube import Tube
-from jaxtissue.walls import LEVEL
+from jaxtissue.views import LEVEL
 
 pytestmark = pytest.mark.usefixtures("quick_compile")
 

@@ -19,7 +19,7 @@ from jaxtissue.rounds import CAPACITY, padded_orders
 from jaxtissue.schedules import constant_schedule
 from jaxtissue.spans import play
 from jaxtissue.tube import Tube
-from jaxtissue.walls import posts
+from jaxtissue.views import posts
 
 CELLS = 300
 TUBE = Tube(length=60.0, apical_radius=1.0, basal_radius=10.0)

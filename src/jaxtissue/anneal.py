@@ -21,7 +21,7 @@ from jaxtissue.records import Measured, SweepRecord, least_around, shortlisted, 
 from jaxtissue.rounds import independent_rounds, one_by_one, padded_orders, round_width
 from jaxtissue.shortlists import find_unlisted, list_first, mirror, shortlist_length, sight_lines
 from jaxtissue.spans import Trail, energy_terms, fit_play, look, play
-from jaxtissue.walls import Posts
+from jaxtissue.views import Posts
 
 ALGORITHMS = ("is-mh", "mh")
 SPAN = 10  # the most sweeps between renewals of lists and rounds

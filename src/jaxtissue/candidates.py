@@ -15,8 +15,10 @@ from scipy import sparse
 
 from jaxtissue.cells import BLOCK, CellGeometry, measure_cells
 from jaxtissue.lines import PRESETS, Resolution, plan_lines
+from jaxtissue.lowering import settled
 from jaxtissue.tube import Tube
-from jaxtissue.walls import LEVEL, pick, posts, see_angles, see_rivals, settled, stop, walls
+from jaxtissue.views import LEVEL, pick, posts, see_angles, see_rivals
+from jaxtissue.walls import stop, walls
 
 NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
 A_SIDE = 72  # of them at most on one side, where cells at the ends of the tube have all

@@ -9,22 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxtissue.indexing import PUT, taken
 from jaxtissue.lines import Lines
+from jaxtissue.lowering import PUT, settled, taken
 from jaxtissue.tube import Tube
-from jaxtissue.walls import (
-    END,
-    Posts,
-    Walls,
-    pick,
-    posts,
-    see_rivals,
-    see_window,
-    settled,
-    stop,
-    strips,
-    walls,
-)
+from jaxtissue.views import Posts, pick, posts, see_rivals, see_window
+from jaxtissue.walls import END, Walls, stop, strips, walls
 
 BLOCK = 72  # cells measured at once, 8 times an odd number: of 64 or 128 rows evict each other from the cache
 

@@ -9,20 +9,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.cells import BLOCK, CellGeometry, Survey, measure_window, through_windows
 from jaxtissue.energy import Model
-from jaxtissue.indexing import PUT, taken
 from jaxtissue.lines import Lines
+from jaxtissue.lowering import PUT, settled, taken
 from jaxtissue.tube import Tube
-from jaxtissue.walls import (
-    LEVEL,
-    Posts,
-    Rivals,
-    meeting,
-    pick,
-    posts,
-    see_lines,
-    settled,
-    turn_between,
-)
+from jaxtissue.views import LEVEL, Posts, Rivals, meeting, pick, posts, see_lines, turn_between
 
 ROOM = 20  # cells that a move may change, on average over a round: twice as many as it does
 SLACK = 1e-5  # of a reach and of R_b, by which a wall may miss a cell and counts as bounding it
@@ -137,9 +127,10 @@ def count_left(moves: Round, tube: Tube) -> Int[Array, ""]:
     return left.sum(dtype=jnp.int32)
 
 
-def room(changed: Bool[Array, "width around+1"]) -> int:
+def room(width: int, near: Neighborhoods) -> int:
     """The most cells that the moves of a round may change together; all around one, at least."""
-    return min(changed.size, max(changed.shape[1], ROOM * changed.shape[0]))
+    around = near.around.shape[1] + 1
+    return min(width * around, max(around, ROOM * width))
 
 
 def find_collisions(changed: Bool[Array, "width around+1"], moves: Round, n: int) -> Bool[Array, "width"]:
@@ -190,10 +181,10 @@ def measure_changes(
 ) -> Changes:
     """Measure every changed cell as if its one move were made, in as many blocks as it takes.
 
-    `reach` is where the new reaches go: room that was used before, as clearing it takes long.
+    `reach` is where the new reaches go, at most so many: room used before, as clearing it takes long.
     """
     model, lines = rules
-    size = room(changed)
+    size = len(reach)
     item = pack(changed, taken(state.wide, moves.members), size)
     move, cell = item // changed.shape[1], taken(moves.members.ravel(), item)
     total = changed.sum(dtype=jnp.int32)

@@ -25,9 +25,9 @@ from jaxtissue.changes import (
     room,
 )
 from jaxtissue.energy import Model
-from jaxtissue.indexing import PUT, taken
 from jaxtissue.lines import Lines
-from jaxtissue.walls import Posts, posts
+from jaxtissue.lowering import PUT, taken
+from jaxtissue.views import Posts, posts
 
 
 class SweepInfo(NamedTuple):
@@ -135,8 +135,7 @@ def sweep(
 
     zero = jnp.zeros((), jnp.int32)
     nothing = SweepInfo(zero, zero, zero, zero, jnp.zeros((), chance.dtype))
-    size = room(jnp.empty((rounds.shape[1], near.around.shape[1] + 1), bool))
-    reach = jnp.zeros((size, *state.reach.shape[1:]), chance.dtype)
+    reach = jnp.zeros((room(rounds.shape[1], near), *state.reach.shape[1:]), chance.dtype)
     start = (zero, jnp.zeros(n, bool), state, nothing, reach)
     _, _, state, info, _ = jax.lax.while_loop(unplayed, play, start)
     return state, info

@@ -58,7 +58,7 @@ def keep_compiled() -> None:
     """Keep what is compiled in the user's cache folder, for the next process.
 
     Unless JAX was told of a folder (`JAX_COMPILATION_CACHE_DIR`), or to keep nothing
-    (`JAX_ENABLE_COMPILATION_CACHE=0`). A folder that can't be written to is done without.
+    (`JAX_ENABLE_COMPILATION_CACHE=0`). Where it can't be read or written, JAX warns and compiles.
     """
     if not getattr(jax.config, "jax_compilation_cache_dir", None):
         jax.config.update("jax_compilation_cache_dir", platformdirs.user_cache_dir("jaxtissue"))

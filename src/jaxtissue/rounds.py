@@ -57,5 +57,4 @@ def padded_orders(plan: Sequence[Int[np.ndarray, "rounds width"]], sweeps: int, 
     for k, some in enumerate(plan):
         rounds[k, : len(some)] = some
     counts = np.array([*map(len, plan), *sweeps * [0]], np.int32)[:sweeps]
-    table = jnp.empty((width, near.around.shape[1] + 1), bool)
-    return Order(rounds, counts, np.full(sweeps, room(table), np.int32))
+    return Order(rounds, counts, np.full(sweeps, room(width, near), np.int32))

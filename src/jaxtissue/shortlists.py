@@ -14,21 +14,10 @@ from scipy import sparse
 
 from jaxtissue.candidates import least, linked, padded
 from jaxtissue.cells import BLOCK
-from jaxtissue.indexing import taken
 from jaxtissue.lines import Lines, Resolution, plan_lines
+from jaxtissue.lowering import larger, settled, smaller, taken
 from jaxtissue.tube import Tube
-from jaxtissue.walls import (
-    FAR,
-    Grid,
-    larger,
-    meeting,
-    pick,
-    posts,
-    see_lines,
-    see_others,
-    settled,
-    smaller,
-)
+from jaxtissue.views import FAR, Grid, meeting, pick, posts, see_lines, see_others
 
 CANDIDATES = 24  # on each side of a cell: three times as many as bound it
 FEW = 500  # cells for which these do; of more, one lacks a candidate as seldom if all have more
@@ -84,7 +73,7 @@ def clearance(
             second = settled(lambda: lowest(first), truth)
 
             def nearest() -> Array:
-                z, y = at.radius - at.facing(rivals), at.y - at.y * rivals.versine - at.z * rivals.sine
+                z, y = at.radius - at.sagitta_from(rivals), at.across(rivals)
                 around = larger(z, tube.apical_radius) * y / tube.apical_radius
                 speed = (second - 2 * rivals.half) ** 2 + around**2
                 way = (larger(meets - second, 0.0) * 2 * rivals.half) ** 2 / larger(speed, TINY)

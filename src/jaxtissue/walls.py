@@ -1,81 +1,23 @@
 """Where cells end: on each line parallel to the axis the walls against the nearest rivals behind and ahead.
 
-On a line of constant radius r and angle t the squared distance to backbone j is (x - x_j)^2 + f_j, with
-f_j = y^2 + (s - z)^2, z = r cos(t - t_j), y = r sin(t - t_j), s = max(z, R_a) the radius of the foot. So a
-cell is one interval on each line; seen from x_i it ends where the nearest rival takes over, at a *reach* of
+With (x - x_j)^2 + f_j the squared distance to backbone j, as in `views`, a cell is one interval on each line;
+seen from x_i it ends where the nearest rival takes over, at a *reach* of
 h = |x_j - x_i| / 2 + (f_j - f_i) / (2 |x_j - x_i|) ahead (x_j > x_i) and behind, two mirrored sides. Between
 two lines each side is taken as the two tangents of the walls h(t), whose slope and tilt are closed forms.
-
-All is written in the line's sagitta g = r - z, as f_j = 2 r g - m (2 g - m) with m = r - s = min(g, r - R_a):
-fewer operations than in z and y, and no digits are lost where cells are narrow against r.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Complex, Float, Int
+from jaxtyping import Array, Complex, Int
 
-from jaxtissue.indexing import taken
-from jaxtissue.lines import Lines
+from jaxtissue.lowering import larger, settled, smaller, taken
 from jaxtissue.tube import Tube
+from jaxtissue.views import FAR, LEVEL, Grid, Rivals, meeting
 
-LEVEL = 3e-4  # slope against the axis given to walls closer to parallel to it: the root of float32's rounding
 END = -1
-FAR = 1e30  # beyond any tube, and finite: its lowest bits may be changed
 CHUNK = 24  # most candidates in one unrolled loop: of 8 it compiles 2 s sooner, and takes twice as long
-T = TypeVar("T")
-
-
-class Posts(NamedTuple):
-    """Backbones as their axial place, angle, and its cosine and sine, all of one shape."""
-
-    axial: Array
-    angle: Array
-    cosine: Array
-    sine: Array
-
-
-class Grid(NamedTuple):
-    """Lines as seen from a backbone, [lines, 1 or cells]."""
-
-    radius: Array
-    turned: Array  # z + i y: one complex table is written in one loop, four real ones in four
-    sagitta: Array  # r - z
-
-    @property
-    def z(self) -> Array:
-        """Component along the backbone."""
-        return self.turned.real
-
-    @property
-    def y(self) -> Array:
-        """Component across it."""
-        return self.turned.imag
-
-    def sunk(self, tube: Tube) -> Array:
-        """By how much the own foot lies below the line, m."""
-        return smaller(self.sagitta, self.radius - tube.apical_radius)
-
-    def square(self, tube: Tube) -> Array:
-        """Squared distance f to it."""
-        sunk = self.sunk(tube)
-        return 2 * self.radius * self.sagitta - sunk * (2 * self.sagitta - sunk)
-
-    def facing(self, rival: "Rivals") -> Array:
-        """The sagitta from rivals."""
-        return self.sagitta + self.z * rival.versine - self.y * rival.sine
-
-
-class Rivals(NamedTuple):
-    """Each cell against its candidates behind and ahead, [candidates, 2, cells]; half is FAR for no rival."""
-
-    half: Array  # |x_j - x_i| / 2
-    slant: Array  # 1 / (4 half)
-    versine: Array  # 1 - cosine, and sine of t_j - t_i
-    sine: Array
 
 
 class Walls(NamedTuple):
@@ -94,97 +36,6 @@ class Walls(NamedTuple):
     def slope(self) -> Array:
         """Its derivative dh/dt."""
         return self.tangent.imag
-
-
-def settled(compute: Callable[[], T], truth: Array) -> T:
-    """Compute, behind a branch that is always taken, which XLA's fusion can't cross.
-
-    Else the CPU compiler repeats a stage inside every consumer of the next: 2.5 times slower as measured.
-    `truth` is true, but not known to the compiler.
-    """
-    compute = jax.jit(compute, inline=True)  # traced once
-    empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(compute))
-    return jax.lax.cond(truth, compute, lambda: empty)
-
-
-def larger(first: Array, second: Array | float) -> Array:
-    """The larger of two, in one instruction: `jnp.maximum` takes more to treat what is not a number."""
-    return jnp.where(first > second, first, second)
-
-
-def smaller(first: Array, second: Array | float) -> Array:
-    """The smaller of two, as `larger`."""
-    return jnp.where(first < second, first, second)
-
-
-def pick(place: Posts, which: Array) -> Posts:
-    """The backbones of the given numbers."""
-    return Posts(*(taken(column, which) for column in place))
-
-
-def posts(positions: Float[Array | np.ndarray, "... 2"]) -> Posts:
-    """The backbones at (axial, angle) positions."""
-    angle = positions[..., 1]
-    return Posts(jnp.asarray(positions[..., 0]), jnp.asarray(angle), jnp.cos(angle), jnp.sin(angle))
-
-
-def see_lines(lines: Lines, dtype: np.dtype) -> Grid:
-    """The lines round each backbone, [lines, 1], in the middle window."""
-    return see_angles(jnp.asarray(lines.radius, dtype)[lines.layer][:, None], lines.offset(dtype)[:, None])
-
-
-def see_window(lines: Lines, dtype: np.dtype, shift: Int[Array, "cells"], truth: Array) -> Grid:
-    """The lines round each backbone, [lines, cells], in windows onward: those of the middle one, turned."""
-    middle, turn = see_lines(lines, dtype), lines.turn(dtype, shift)
-    onward = settled(lambda: jax.lax.complex(jnp.cos(turn), jnp.sin(turn)), truth)
-    turned = settled(lambda: middle.turned * onward[lines.layer], truth)
-    return Grid(middle.radius, turned, settled(lambda: sagitta_of(middle.radius, turned), truth))
-
-
-def see_angles(radius: Array, offset: Array) -> Grid:
-    """Lines at the given radii and angles from the backbones."""
-    turned = jax.lax.complex(radius * jnp.cos(offset), radius * jnp.sin(offset))
-    return Grid(radius, turned, sagitta_of(radius, turned))
-
-
-def sagitta_of(radius: Array, turned: Array) -> Array:
-    """r - z, of z + i y; without loss of digits where it is small."""
-    z, y = turned.real, turned.imag
-    return jnp.where(z > 0, y * y / (radius + larger(z, 0.0)), radius - z)
-
-
-def see_others(own: Posts, others: Posts, first: Array, tube: Tube) -> tuple[Rivals, Array]:
-    """The others as rivals, whatever side they are on, and whether each lies ahead.
-
-    No wall may be parallel to the axis: of two backbones at the same height the one that is `first` counts as
-    lying behind, and all are taken as LEVEL times their distance apart along the axis.
-    """
-    gap, (versine, sine) = others.axial - own.axial, turn_between(own, others)
-    # exactly 0 for the cell itself, which pads the lists
-    apart = jnp.maximum(jnp.abs(gap), LEVEL * tube.apical_radius * jnp.sqrt(2 * versine))
-    half = jnp.where(apart > 0, apart / 2, FAR)
-    return Rivals(half, 0.25 / half, versine, sine), (gap > 0) | ((gap == 0) & ~first)
-
-
-def turn_between(own: Posts, others: Posts) -> tuple[Array, Array]:
-    """Versine (half the squared chord) and sine of the angle from backbones to others."""
-    versine = ((others.cosine - own.cosine) ** 2 + (others.sine - own.sine) ** 2) / 2
-    return versine, others.sine * own.cosine - others.cosine * own.sine
-
-
-def see_rivals(own: Posts, others: Posts, first: Array, tube: Tube) -> Rivals:
-    """The rivals among the candidates [candidates, 2, cells], FAR if they lie on the other side."""
-    rivals, is_ahead = see_others(own, others, first, tube)
-    half = jnp.where(is_ahead == jnp.array([False, True])[:, None], rivals.half, FAR)
-    return rivals._replace(half=half, slant=0.25 / half)
-
-
-def meeting(grid: Grid, rival: Rivals, tube: Tube) -> Array:
-    """The reach h = |dx| / 2 + (f_j - f_i) / (2 |dx|) against rivals, on lines."""
-    sagitta = grid.facing(rival)
-    sunk = smaller(sagitta, grid.radius - tube.apical_radius)
-    farther = 2 * grid.radius * sagitta - grid.square(tube) - sunk * (2 * sagitta - sunk)
-    return rival.half + farther * rival.slant
 
 
 def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> Int[Array, "lines 2 cells"]:
@@ -232,8 +83,8 @@ def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> I
 def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth: Array) -> Walls:
     """Reach, slope and tilt of the walls that end each cell, against the rival there.
 
-    A rival's turn is one complex number e^(i turn): gathering two real ones takes twice as long. Walls that
-    are level are seldom there, and only then looked for.
+    A rival's turn is one complex number, versine + i sine: gathering two real ones takes twice as long. Walls
+    that are level are seldom there, and only then looked for.
     """
     cells, end = by.shape[-1], by == END
     at = jnp.maximum(by, 0) * (2 * cells) + jnp.arange(2 * cells, dtype=by.dtype).reshape(2, cells)
@@ -248,11 +99,9 @@ def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth:
     def wall(some_level: bool) -> Walls:
         per_gap = 0.5 / half
         rival = Rivals(half, per_gap / 2, turn.real, turn.imag)
-        sagitta, y = line.facing(rival), line.y - line.y * rival.versine - line.z * rival.sine
+        reach, sagitta = meeting(line, rival, tube), line.sagitta_from(rival)
         sunk, own_sunk = smaller(sagitta, line.radius - tube.apical_radius), line.sunk(tube)
-        farther = 2 * line.radius * sagitta - line.square(tube) - sunk * (2 * sagitta - sunk)
-        reach = half + farther * rival.slant
-        slope = ((line.radius - sunk) * y - (line.radius - own_sunk) * line.y) * per_gap
+        slope = ((line.radius - sunk) * line.across(rival) - (line.radius - own_sunk) * line.y) * per_gap
         # the feet's s z = (r - m) (r - g), less the common r^2
         lower = line.radius * (own_sunk + line.sagitta - sunk - sagitta)
         tilt = (lower + sunk * sagitta - own_sunk * line.sagitta) * per_gap
@@ -281,7 +130,7 @@ def towards_plane(
     There the reach is `half`, so the slope is that of the secant to it, and the tilt 0.
     """
     slope, tilt = slopes
-    z, y = line.radius - line.facing(rival), line.y - line.y * rival.versine - line.z * rival.sine
+    z, y = line.radius - line.sagitta_from(rival), line.across(rival)
     level = is_level(rival, tube)
     # tangent of the angle from the plane, of half of it, and by its series the angle
     tangent = (line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12)
