@@ -33,7 +33,7 @@ class Bench:
         self.annealer = Annealer(tube_model(TUBE, CELLS), PRESET, "is-mh", 5, constant_schedule(2.0, 20))
         self.start = self.annealer.start(TUBE.random_positions(jax.random.key(1), CELLS))
         measured, plan = run_together([self.annealer._measure(self.start), self.annealer._rounds(self.start)])
-        self.lines = self.annealer._plan(CELLS)
+        self.lines, _ = self.annealer._plan(CELLS)
         self.near = shortlisted(measured.sides, measured.clear, 0)
         self.tissue = measured.tissue
         self.width = plan[0].shape[1]  # so that all share the run's program

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxtissue.candidates import find_candidates, padded
+from jaxtissue.candidates import candidate_lists, padded
 from jaxtissue.cells import CellGeometry
 from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.coloring import CONFLICTS
@@ -79,6 +79,7 @@ class Annealer:
         self._exactness = EXACT * float(jnp.finfo(dtype).eps) * float(self.model.mean_volume)
         self.compile_seconds = 0.0
         self._last: tuple[AnnealState, Measured] | None = None
+        self._lines: dict[int, tuple[Lines, Lines]] = {}  # for each number of cells
 
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
         """The state before the first sweep."""
@@ -153,7 +154,7 @@ class Annealer:
         orders, sweeps = padded_orders(plan, SPAN, near), len(plan)
         temperatures = np.zeros(SPAN, state.positions.dtype)
         temperatures[:sweeps] = self.temperatures[state.sweep : state.sweep + sweeps]
-        draw, lines = (np.uint32(self.seed), np.int32(state.sweep)), self._plan(len(state.positions))
+        draw, lines = (np.uint32(self.seed), np.int32(state.sweep)), self._plan(len(state.positions))[0]
         arguments = (*draw, measured.tissue, self.model, temperatures, near, orders, lines)
         needs = near.around.shape[1], orders.rounds.shape[1]
         _, trail = yield from self._ask(Request(play, arguments, needs, fit_play))
@@ -184,8 +185,15 @@ class Annealer:
         info = jax.tree.map(lambda a, b: a + b, first.info, second.info)
         return after, second._replace(info=info), max(drift, more)
 
-    def _plan(self, cells: int) -> Lines:
-        return plan_lines(self.model.tube, cells, self.resolution)
+    def _plan(self, cells: int) -> tuple[Lines, Lines]:
+        """The lines on which cells are measured, and those on which it is seen how clear candidates are."""
+        if cells not in self._lines:
+            tube = self.model.tube
+            self._lines[cells] = (
+                plan_lines(tube, cells, self.resolution),
+                sight_lines(tube, cells, self.resolution),
+            )
+        return self._lines[cells]
 
     def _measure(self, state: AnnealState) -> Task[Measured]:
         """Measure the whole tissue on complete lists; the last result is kept."""
@@ -193,11 +201,9 @@ class Annealer:
             return self._last[1]
         if self._last is None and state.sweep < len(self.temperatures) and self._has_few_rounds:
             yield self._expect_play(state)
-        sides = self._find(jnp.asarray(state.positions), state.widths[0])
-        n = len(state.positions)
-        lines = self._plan(n), sight_lines(self.model.tube, n, self.resolution)
+        sides, back = self._find(state.positions, state.widths[0])
         # lists are not padded to those of others: their width sets how finely `stop` compares
-        asked = state.positions, self.model, lines, sides, mirror(sides)
+        asked = state.positions, self.model, self._plan(len(state.positions)), sides, back
         tissue, clear = yield from self._ask(Request(look, asked))
         self._last = state, Measured(tissue, sides, clear)
         return self._last[1]
@@ -209,7 +215,7 @@ class Annealer:
 
     def _expect_play(self, state: AnnealState) -> Ahead:
         """What `play` will be asked for, with lists and rounds as wide as they are likely to be."""
-        n, dtype, lines = len(state.positions), state.positions.dtype, self._plan(len(state.positions))
+        n, dtype, lines = len(state.positions), state.positions.dtype, self._plan(len(state.positions))[0]
         blank: Any = np.zeros(n, dtype)
         reach: Any = np.zeros((n, 2, lines.row), dtype)
         tissue = TissueState(Posts(blank, blank, blank, blank), blank, blank, reach, blank > 0)
@@ -219,14 +225,17 @@ class Annealer:
         orders, temperatures = padded_orders([rounds], SPAN, near), np.zeros(SPAN, dtype)
         return Ahead(play, (np.uint32(0), np.int32(0), tissue, self.model, temperatures, near, orders, lines))
 
-    def _find(self, place: Float[Array, "n 2"], width: int) -> Int[np.ndarray, "n 2 candidates"]:
-        """Complete candidate lists, at least of a width."""
-        begin = time.perf_counter()
-        margin = MARGIN * shortlist_length(len(place)) * float(move_bound(self.model, len(place)))
-        sides = find_candidates(place, self.model.tube, margin)
+    def _find(self, positions: Float[np.ndarray, "n 2"], width: int) -> tuple[np.ndarray, np.ndarray]:
+        """Complete candidate lists, at least of a width, and their `mirror`."""
+        begin, n = time.perf_counter(), len(positions)
+        margin = MARGIN * shortlist_length(n) * float(move_bound(self.model, n))
+        grown = candidate_lists(jnp.asarray(positions), self.model.tube, margin)
+        wide = ((padded(sides, width), complete) for sides, complete in grown)
+        tried = ((sides, mirror(sides), complete) for sides, complete in wide)  # mirrored meanwhile
+        sides, back = next((sides, back) for sides, back, complete in tried if complete)
         if self._last is None or sides.shape[2] > width:  # a check of new shapes, which is compiled
             self.compile_seconds += time.perf_counter() - begin
-        return padded(sides, width)
+        return sides, back
 
     def _rounds(self, state: AnnealState) -> Task[Plan]:
         """For each sweep of a span the order of its moves: one by one, or in independent sets."""

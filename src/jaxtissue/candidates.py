@@ -5,6 +5,7 @@ backbones nearest along the axis.
 """
 
 import math
+from collections.abc import Iterator
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +23,7 @@ from jaxtissue.walls import stop, walls
 
 NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
 A_SIDE = 72  # of them at most on one side, where cells at the ends of the tube have all
+ROWS = 128  # cells compared at once: tables that fit the cache
 TILES = 1e-5  # relative defect of the lengths along a line above which lists are taken as incomplete
 
 _measure = jax.jit(measure_cells)
@@ -50,13 +52,22 @@ def find_candidates(
     As many nearest backbones are taken as it needs for the cells to tile every line; those within `margin`
     along the axis stand on both sides.
     """
+    return next(sides for sides, complete in candidate_lists(positions, tube, margin) if complete)
+
+
+def candidate_lists(
+    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0
+) -> Iterator[tuple[Int[np.ndarray, "n 2 side_candidates"], bool | Bool[Array, ""]]]:
+    """Longer and longer lists, up to those of everyone, and whether each is complete.
+
+    That is still being computed when it is given: what is done before it is looked at costs no time.
+    """
     count = NEAREST
     while True:
-        lists = nearest(positions, tube, count)
         most = A_SIDE * count // NEAREST
-        sides = sided(lists, positions, tube, margin, most=most)
-        if most >= len(positions) - 1 or tiling_defect(positions, tube, sides) < TILES:
-            return sides
+        everyone = most >= len(positions) - 1
+        sides = sided(nearest(positions, tube, count), positions, tube, margin, most=most)
+        yield sides, everyone or tiling_defect(positions, tube, sides) < TILES
         count *= 2
 
 
@@ -70,24 +81,26 @@ def nearest(
     width = math.sqrt(2 * math.pi * radii[1] / density)
     # on either side; 6 mean cell widths at the basal surface, where NEAREST are as many as usual
     window = min(n - 1, max(count, math.ceil(6 * density * width * count / NEAREST)))
-    order = np.argsort(place[:, 0], kind="stable")
+    order = np.argsort(place[:, 0], kind="stable").astype(np.int32)
     axial, angle = place[order].T
-    columns = axial, np.cos(angle), np.sin(angle)
-    # those next to each in order, [n, 2 window + 1], without a copy; beyond the ends at infinity
-    views = [
-        sliding_window_view(np.pad(column, window, constant_values=beyond), 2 * window + 1)
-        for column, beyond in zip(columns, (np.inf, 1, 0), strict=True)
-    ]
+    turn = np.stack([np.cos(angle), np.sin(angle)]).astype(np.float32)
+
+    def beside(column: np.ndarray, beyond: float) -> np.ndarray:
+        """Those next to each in order, [..., n, 2 window + 1], without a copy; past the ends `beyond`."""
+        spare = [(0, 0)] * (column.ndim - 1) + [(window, window)]
+        column = np.pad(column, spare, constant_values=beyond)
+        return sliding_window_view(column, 2 * window + 1, axis=-1)
+
+    next_axial, next_turn = beside(axial, np.inf), beside(turn, 0)
     lists = np.empty((n, count), np.int32)
-    for start in range(0, n, 256):  # tables that fit the cache
-        own = slice(start, start + 256)
-        gap, cosine, sine = (
-            view[own] * column[own, None] if k else view[own] - column[own, None]
-            for k, (view, column) in enumerate(zip(views, columns, strict=True))
-        )
-        score = spacing_at(gap.astype(np.float32), (cosine + sine).astype(np.float32), *radii)
+    for start in range(0, n, ROWS):
+        own = slice(start, start + ROWS)
+        gap = (next_axial[own] - axial[own, None]).astype(np.float32)
+        cosine, sine = next_turn[:, own] * turn[:, own, None]
+        cosine += sine
+        score = spacing_at(gap, cosine, *radii)
         score[:, window] = np.inf
-        rank = np.arange(start, start + len(score))[:, None] + least(score, count) - window
+        rank = least(score, count) + np.arange(start - window, start - window + len(score))[:, None]
         lists[order[own]] = order[rank]
     return lists
 
@@ -121,13 +134,15 @@ def spacing(place: np.ndarray, first: np.ndarray, second: np.ndarray, tube: Tube
 
 def spacing_at(gap: np.ndarray, cosine: np.ndarray, inner: float, outer: float) -> np.ndarray:
     """The same for backbones `gap` apart along the axis, and at an angle of that cosine."""
-    square = gap * gap
+    square, flat = gap * gap, 1 - cosine * cosine
     score = (square + 2 * inner * inner * (1 - cosine)) / inner  # at the apical surface
-    for radius in map(float, np.geomspace(inner, outer, 3)[1:]):
-        foot = np.maximum(radius * cosine, inner)
-        np.minimum(
-            score, (square + radius * radius + foot * (foot - 2 * radius * cosine)) / radius, out=score
-        )
+    for radius in (math.sqrt(inner * outer), outer):
+        apart = np.maximum(inner - radius * cosine, 0)  # where the foot is the apical end
+        apart *= apart
+        apart += square
+        apart += radius * radius * flat
+        apart /= radius
+        np.minimum(score, apart, out=score)
     return score
 
 
@@ -168,21 +183,16 @@ def sided(
     Of each side the first `most`.
     """
     axial, own = np.asarray(positions, float)[:, 0], np.arange(len(lists), dtype=np.int32)[:, None]
-    gap = np.where(lists == own, np.nan, axial[lists] - axial[:, None])
+    gap, none = axial[lists] - axial[:, None], lists.shape[1]
     margin = max(margin, 2 * LEVEL * float(tube.apical_radius))
-    # not a number for the cell itself, so on neither side
-    taken = [np.flatnonzero(sign * gap >= -margin) for sign in (-1, 1)]
-    rows = [at // lists.shape[1] for at in taken]
-    counts = [np.bincount(row, minlength=len(lists)) for row in rows]
-    width = max(1, *(int(count.max(initial=0)) for count in counts))
+    chosen = np.stack([gap <= margin, gap >= -margin], axis=1) & (lists != own)[:, None]
+    width = max(1, int(chosen.sum(axis=2, dtype=np.int32).max(initial=0)))
     width = width if most is None else min(width, most)
     width = -(-width // 24) * 24  # few shapes, so few compilations
-    sides = np.repeat(own, 2 * width, axis=1).reshape(-1, 2, width)
-    for side, (at, row, count) in enumerate(zip(taken, rows, counts, strict=True)):
-        place = np.arange(len(at)) - np.repeat(np.cumsum(count) - count, count)
-        kept = place < width
-        sides[row[kept], side, place[kept]] = lists.reshape(-1)[at[kept]]
-    return sides
+    place = np.arange(none, dtype=np.int32) + np.int32(none) * ~chosen
+    place.sort(axis=2)
+    place = np.minimum(place[..., :width], none) + (none + 1) * own[:, None]
+    return padded(np.append(lists, own, axis=1).reshape(-1)[place], width)  # its rows end with the cell
 
 
 def padded(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.ndarray, "n ... width"]:

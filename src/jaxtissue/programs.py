@@ -139,8 +139,7 @@ def _run_alike(function: Callable, calls: Sequence[tuple], slots: int, devices: 
 
     active = np.zeros(slots, bool)
     active[place] = True
-    mesh = _mesh(devices)
-    batch = jax.device_put((active, jax.tree.map(stacked, *calls)), NamedSharding(mesh, PartitionSpec(AXIS)))
+    mesh, batch = _mesh(devices), (active, jax.tree.map(stacked, *calls))
     known, compiling = (function, _shapes(batch), mesh), 0.0
     program = PROGRAMS.get(known)
     if program is None or isinstance(program, Future):
@@ -156,8 +155,13 @@ def _run_alike(function: Callable, calls: Sequence[tuple], slots: int, devices: 
 
 
 def _lowered(function: Callable, mesh: Mesh, batch: tuple) -> jax.stages.Lowered:
-    """The program for arguments of these shapes, to be compiled."""
-    return jax.jit(_lifted(function, mesh)).lower(*batch)
+    """The program for arguments of these shapes, spread over the mesh, to be compiled."""
+    sharding = NamedSharding(mesh, PartitionSpec(AXIS))
+
+    def shape(leaf: Any) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding)
+
+    return jax.jit(_lifted(function, mesh)).lower(*jax.tree.map(shape, batch))
 
 
 def _compile_ahead(step: Ahead, slots: int, devices: int) -> None:
@@ -169,13 +173,12 @@ def _compile_ahead(step: Ahead, slots: int, devices: int) -> None:
     mesh = _mesh(devices)
     if mesh.devices.flat[0].platform not in IN_TURN:
         return
-    sharding = NamedSharding(mesh, PartitionSpec(AXIS))
 
     def shape(leaf: np.ndarray) -> jax.ShapeDtypeStruct:
-        return jax.ShapeDtypeStruct((slots, *leaf.shape), leaf.dtype, sharding=sharding)
+        return jax.ShapeDtypeStruct((slots, *leaf.shape), leaf.dtype)
 
     arguments = jax.tree.map(shape, _fitted(Request(*step), ()))
-    batch = jax.ShapeDtypeStruct((slots,), np.dtype(bool), sharding=sharding), arguments
+    batch = jax.ShapeDtypeStruct((slots,), np.dtype(bool)), arguments
     known = step.function, _shapes(batch), mesh
     if known not in PROGRAMS:
         PROGRAMS[known] = BESIDE.submit(_lowered(step.function, mesh, batch).compile)
