@@ -1,5 +1,6 @@
 """The reference tubes and the two precisions, for all tests."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import settings
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
+from jaxtissue.lowering import quick_options
 from jaxtissue.programs import PROGRAMS
 from jaxtissue.tube import Tube
 
@@ -53,6 +55,22 @@ def quick_compile():
         yield
         PROGRAMS.clear()
         jax.config.update("jax_disable_most_optimizations", False)
+
+
+@pytest.fixture(scope="module")
+def quickest_compile(quick_compile):
+    """The same with `quick_options`, where replicas need not be the same to the bit as alone."""
+    compile_as_told = jax.stages.Lowered.compile
+    options = quick_options() or {}
+    flags = [f"--{name}={str(value).lower()}" for name, value in options.items()]
+
+    def compile_quickly(lowered, compiler_options=None):
+        return compile_as_told(lowered, options | (compiler_options or {}))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XLA_FLAGS", " ".join([os.environ.get("XLA_FLAGS", ""), *flags]).strip())
+        patch.setattr(jax.stages.Lowered, "compile", compile_quickly)
+        yield
 
 
 @dataclass(frozen=True)

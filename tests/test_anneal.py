@@ -14,7 +14,7 @@ from jaxtissue.programs import PROGRAMS, run_together
 from jaxtissue.schedules import constant_schedule, geometric_schedule, has_stalled
 from jaxtissue.tube import Tube
 
-pytestmark = pytest.mark.usefixtures("quick_compile")
+pytestmark = pytest.mark.usefixtures("quickest_compile")
 
 TUBE = Tube(length=20.0, apical_radius=1.0, basal_radius=3.0)
 CELLS = 60

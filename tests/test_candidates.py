@@ -39,7 +39,7 @@ from jaxtissue.spans import look
 from jaxtissue.tube import Tube
 from jaxtissue.views import LEVEL
 
-pytestmark = pytest.mark.usefixtures("quick_compile")
+pytestmark = pytest.mark.usefixtures("quickest_compile")
 
 TUBE = Tube(length=20.0, apical_radius=1.0, basal_radius=3.0)
 CELLS = 300

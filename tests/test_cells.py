@@ -12,7 +12,7 @@ from jaxtissue.exact import exact_cells
 from jaxtissue.lines import PRESETS, REACH, plan_lines
 from jaxtissue.tube import Tube
 
-pytestmark = pytest.mark.usefixtures("quick_compile")
+pytestmark = pytest.mark.usefixtures("quickest_compile")
 
 TUBE = Tube(length=10.0, apical_radius=1.0, basal_radius=3.0)
 # rms over cells / mean cell of volume and lateral area, error of the total area; only `standard` has the rest

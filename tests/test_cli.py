@@ -23,7 +23,7 @@ from jaxtissue.lines import PRESETS
 from jaxtissue.statistics import find_connectivity
 from jaxtissue.tube import Tube
 
-pytestmark = pytest.mark.usefixtures("quick_compile")
+pytestmark = pytest.mark.usefixtures("quickest_compile")
 SIZES = ("--length", "12", "--apical-radius", "2", "--basal-radius", "4")
 SMALL = ("anneal", *SIZES, "--cells", "16", "--seed", "3")
 LONG = (*SMALL, "--sweeps", "80")

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxtissue.candidates import candidate_lists, padded
+from jaxtissue.candidates import candidate_lists
 from jaxtissue.cells import CellGeometry
 from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.coloring import CONFLICTS
@@ -229,10 +229,9 @@ class Annealer:
         """Complete candidate lists, at least of a width, and their `mirror`."""
         begin, n = time.perf_counter(), len(positions)
         margin = MARGIN * shortlist_length(n) * float(move_bound(self.model, n))
-        grown = candidate_lists(jnp.asarray(positions), self.model.tube, margin)
-        wide = ((padded(sides, width), complete) for sides, complete in grown)
-        tried = ((sides, mirror(sides), complete) for sides, complete in wide)  # mirrored meanwhile
-        sides, back = next((sides, back) for sides, back, complete in tried if complete)
+        attempts = candidate_lists(jnp.asarray(positions), self.model.tube, margin, width)
+        mirrored = ((tried, mirror(tried.sides)) for tried in attempts)  # while they are checked
+        (sides, _), back = next(pair for pair in mirrored if pair[0].complete)
         if self._last is None or sides.shape[2] > width:  # a check of new shapes, which is compiled
             self.compile_seconds += time.perf_counter() - begin
         return sides, back

@@ -5,7 +5,9 @@ backbones nearest along the axis.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +18,7 @@ from scipy import sparse
 
 from jaxtissue.cells import BLOCK, CellGeometry, measure_cells
 from jaxtissue.lines import PRESETS, Resolution, plan_lines
-from jaxtissue.lowering import settled
+from jaxtissue.lowering import quick_options, settled
 from jaxtissue.tube import Tube
 from jaxtissue.views import LEVEL, pick, posts, see_angles, see_rivals
 from jaxtissue.walls import stop, walls
@@ -41,7 +43,7 @@ def measure_tissue(
     sides = find_candidates(positions, tube)
     lines = plan_lines(tube, len(positions), resolution, surfaces=True)
     sizes, _ = _measure(positions, tube, lines, jnp.asarray(sides))
-    return sizes, float(tiling_defect(positions, tube, jnp.asarray(sides)))
+    return sizes, float(_check()(positions, tube, jnp.asarray(sides)))
 
 
 def find_candidates(
@@ -52,22 +54,32 @@ def find_candidates(
     As many nearest backbones are taken as it needs for the cells to tile every line; those within `margin`
     along the axis stand on both sides.
     """
-    return next(sides for sides, complete in candidate_lists(positions, tube, margin) if complete)
+    return next(tried.sides for tried in candidate_lists(positions, tube, margin) if tried.complete)
+
+
+class Attempt(NamedTuple):
+    """Candidate lists, and their `tiling_defect` or 0 if they hold everyone."""
+
+    sides: Int[np.ndarray, "n 2 side_candidates"]
+    defect: float | Array  # may still be computed: what is done before it is looked at costs no time
+
+    @property
+    def complete(self) -> bool:
+        """Whether the lists lack nobody."""
+        return float(self.defect) < TILES
 
 
 def candidate_lists(
-    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0
-) -> Iterator[tuple[Int[np.ndarray, "n 2 side_candidates"], bool | Bool[Array, ""]]]:
-    """Longer and longer lists, up to those of everyone, and whether each is complete.
-
-    That is still being computed when it is given: what is done before it is looked at costs no time.
-    """
+    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0, width: int = 0
+) -> Iterator[Attempt]:
+    """Longer and longer lists, from NEAREST up to everyone, padded to `width` at least."""
     count = NEAREST
     while True:
         most = A_SIDE * count // NEAREST
         everyone = most >= len(positions) - 1
         sides = sided(nearest(positions, tube, count), positions, tube, margin, most=most)
-        yield sides, everyone or tiling_defect(positions, tube, sides) < TILES
+        sides = padded(sides, width)
+        yield Attempt(sides, 0.0 if everyone else _check()(positions, tube, sides))
         count *= 2
 
 
@@ -200,6 +212,12 @@ def padded(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.nda
     own = np.arange(len(lists), dtype=np.int32).reshape(-1, *[1] * (lists.ndim - 1))
     more = np.broadcast_to(own, (*lists.shape[:-1], max(0, width - lists.shape[-1])))
     return np.concatenate([lists, more], axis=-1)
+
+
+@cache
+def _check() -> Callable[..., Float[Array, ""]]:
+    """`tiling_defect` as it is called alone."""
+    return jax.jit(lambda *arguments: tiling_defect(*arguments), compiler_options=quick_options())
 
 
 @jax.jit
