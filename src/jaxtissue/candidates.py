@@ -5,8 +5,7 @@ backbones nearest along the axis.
 """
 
 import math
-from collections.abc import Callable, Iterator
-from functools import cache
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
@@ -18,10 +17,10 @@ from scipy import sparse
 
 from jaxtissue.cells import BLOCK, CellGeometry, measure_cells
 from jaxtissue.lines import PRESETS, Resolution, plan_lines
-from jaxtissue.lowering import quick_options, settled
+from jaxtissue.lowering import settled
 from jaxtissue.tube import Tube
 from jaxtissue.views import LEVEL, pick, posts, see_angles, see_rivals
-from jaxtissue.walls import stop, walls
+from jaxtissue.walls import least_reach
 
 NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
 A_SIDE = 72  # of them at most on one side, where cells at the ends of the tube have all
@@ -43,7 +42,7 @@ def measure_tissue(
     sides = find_candidates(positions, tube)
     lines = plan_lines(tube, len(positions), resolution, surfaces=True)
     sizes, _ = _measure(positions, tube, lines, jnp.asarray(sides))
-    return sizes, float(_check()(positions, tube, jnp.asarray(sides)))
+    return sizes, float(tiling_defect(positions, tube, jnp.asarray(sides)))
 
 
 def find_candidates(
@@ -79,7 +78,7 @@ def candidate_lists(
         everyone = most >= len(positions) - 1
         sides = sided(nearest(positions, tube, count), positions, tube, margin, most=most)
         sides = padded(sides, width)
-        yield Attempt(sides, 0.0 if everyone else _check()(positions, tube, sides))
+        yield Attempt(sides, 0.0 if everyone else tiling_defect(positions, tube, sides))
         count *= 2
 
 
@@ -214,12 +213,6 @@ def padded(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.nda
     return np.concatenate([lists, more], axis=-1)
 
 
-@cache
-def _check() -> Callable[..., Float[Array, ""]]:
-    """`tiling_defect` as it is called alone."""
-    return jax.jit(lambda *arguments: tiling_defect(*arguments), compiler_options=quick_options())
-
-
 @jax.jit
 def tiling_defect(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube, sides: Int[Array | np.ndarray, "n 2 candidates"]
@@ -245,8 +238,7 @@ def tiling_defect(
         ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
         rivals = settled(lambda: see_rivals(own, others, numbers < cells, tube), truth)
         grid = see_angles(radius, offset)
-        by = stop(grid, rivals, ends, tube, truth)
-        length = walls(by, rivals, ends, grid, tube, truth).reach.sum(axis=1)
+        length = least_reach(grid, rivals, ends, tube, truth).sum(axis=1)
         return jnp.where(which < n, jnp.maximum(length, 0) - tube.length / n, 0).sum(axis=1)
 
     blocks = jax.lax.map(spare, width * jnp.arange(-(-n // width)))

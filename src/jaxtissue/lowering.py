@@ -4,7 +4,6 @@ Numbers of rows are taken as they are. None counts from the end, as those of `ta
 these takes half as long again.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -15,21 +14,6 @@ from jaxtyping import Array, Int
 
 T = TypeVar("T")
 PUT: dict[str, Any] = {"mode": "drop", "wrap_negative_indices": False}  # `table.at[numbers].set(rows, **PUT)`
-
-
-@functools.cache
-def quick_options() -> dict[str, str | bool] | None:
-    """Compiler options for what seldom runs: compiled in two thirds of the time, 2 to 10 percent slower.
-
-    A sweep would be a fifth slower, and replicas together not the same to the bit as alone. None where this
-    version of XLA does not know them.
-    """
-    options: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
-    try:
-        jax.jit(lambda: 0).lower().compile(compiler_options=options)
-    except jax.errors.JaxRuntimeError:
-        return None
-    return options
 
 
 def taken(table: Array | np.ndarray, numbers: Int[Array, "..."]) -> Array:

@@ -61,15 +61,8 @@ def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> I
     if candidates <= CHUNK:
         least = settled(lambda: nearer(start, rivals, 0), truth)
     else:
-        chunks = -(-candidates // CHUNK)
-        length = -(-candidates // chunks)
-        spare = ((0, chunks * length - candidates), (0, 0), (0, 0))
-        tables = Rivals(
-            *(
-                jnp.pad(table, spare, constant_values=nobody).reshape(chunks, length, 2, cells)
-                for table, nobody in zip(rivals, (FAR, 0.0, 0.0, 0.0), strict=True)
-            )
-        )
+        tables = in_chunks(rivals)
+        chunks, length = tables.half.shape[:2]
         first = length * jnp.arange(chunks, dtype=integer)
 
         def more(least: Array, some: tuple[Rivals, Array]) -> tuple[Array, None]:
@@ -78,6 +71,37 @@ def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> I
         least, _ = jax.lax.scan(more, start, (tables, first))
     winner = (recast(least, integer) & ((1 << bits) - 1)).astype(jnp.int32)
     return jnp.where(least < ends, winner, END)
+
+
+def in_chunks(rivals: Rivals) -> Rivals:
+    """Rivals in tables of CHUNK at most, [chunks, length, 2, cells], the last one padded with nobody."""
+    candidates, *shape = rivals.half.shape
+    chunks = -(-candidates // CHUNK)
+    length = -(-candidates // chunks)
+    spare = ((0, chunks * length - candidates), (0, 0), (0, 0))
+    padded = (
+        jnp.pad(table, spare, constant_values=nobody).reshape(chunks, length, *shape)
+        for table, nobody in zip(rivals, (FAR, 0.0, 0.0, 0.0), strict=True)
+    )
+    return Rivals(*padded)
+
+
+def least_reach(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> Array:
+    """How far each cell reaches on each line, behind and ahead, [lines, 2, cells]: as in its `walls`."""
+    line = jax.tree.map(lambda table: table[:, None], grid)
+
+    def nearer(least: Array, some: Rivals) -> tuple[Array, None]:
+        def compare() -> Array:
+            nearest = least
+            for number in range(len(some.half)):
+                rival = jax.tree.map(lambda table, at=number: table[at], some)
+                nearest = smaller(meeting(line, rival, tube), nearest)
+            return nearest
+
+        return settled(compare, truth), None
+
+    start = jnp.broadcast_to(ends, (len(grid.z), *ends.shape))
+    return jax.lax.scan(nearer, start, in_chunks(rivals))[0]
 
 
 def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth: Array) -> Walls:
