@@ -19,7 +19,7 @@ from jaxtissue.cells import BLOCK, CellGeometry, measure_cells
 from jaxtissue.lines import PRESETS, Resolution, plan_lines
 from jaxtissue.lowering import settled
 from jaxtissue.tube import Tube
-from jaxtissue.views import LEVEL, pick, posts, see_angles, see_rivals
+from jaxtissue.views import LEVEL, pick, posts, see_rivals, see_turned
 from jaxtissue.walls import least_reach
 
 NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
@@ -94,25 +94,20 @@ def nearest(
     window = min(n - 1, max(count, math.ceil(6 * density * width * count / NEAREST)))
     order = np.argsort(place[:, 0], kind="stable").astype(np.int32)
     axial, angle = place[order].T
-    turn = np.stack([np.cos(angle), np.sin(angle)]).astype(np.float32)
-
-    def beside(column: np.ndarray, beyond: float) -> np.ndarray:
-        """Those next to each in order, [..., n, 2 window + 1], without a copy; past the ends `beyond`."""
-        spare = [(0, 0)] * (column.ndim - 1) + [(window, window)]
-        column = np.pad(column, spare, constant_values=beyond)
-        return sliding_window_view(column, 2 * window + 1, axis=-1)
-
-    next_axial, next_turn = beside(axial, np.inf), beside(turn, 0)
+    row = np.zeros((3, n + 2 * window), np.float32)
+    row[0] = np.inf  # past the ends
+    row[:, window : window + n] = axial, np.cos(angle), np.sin(angle)
+    beside = sliding_window_view(row, 2 * window + 1, axis=-1)  # no copy
     lists = np.empty((n, count), np.int32)
     for start in range(0, n, ROWS):
-        own = slice(start, start + ROWS)
-        gap = (next_axial[own] - axial[own, None]).astype(np.float32)
-        cosine, sine = next_turn[:, own] * turn[:, own, None]
+        some = beside[:, start : start + ROWS]
+        own = some[:, :, window, None]
+        cosine, sine = some[1:] * own[1:]
         cosine += sine
-        score = spacing_at(gap, cosine, *radii)
+        score = spacing_at(some[0] - own[0], cosine, *radii)
         score[:, window] = np.inf
         rank = least(score, count) + np.arange(start - window, start - window + len(score))[:, None]
-        lists[order[own]] = order[rank]
+        lists[order[start : start + ROWS]] = order[rank]
     return lists
 
 
@@ -146,13 +141,13 @@ def spacing(place: np.ndarray, first: np.ndarray, second: np.ndarray, tube: Tube
 def spacing_at(gap: np.ndarray, cosine: np.ndarray, inner: float, outer: float) -> np.ndarray:
     """The same for backbones `gap` apart along the axis, and at an angle of that cosine."""
     square, flat = gap * gap, 1 - cosine * cosine
-    score = (square + 2 * inner * inner * (1 - cosine)) / inner  # at the apical surface
+    score = square * (1 / inner) + 2 * inner * (1 - cosine)  # at the apical surface
     for radius in (math.sqrt(inner * outer), outer):
         apart = np.maximum(inner - radius * cosine, 0)  # where the foot is the apical end
         apart *= apart
         apart += square
-        apart += radius * radius * flat
-        apart /= radius
+        apart *= 1 / radius
+        apart += radius * flat
         np.minimum(score, apart, out=score)
     return score
 
@@ -200,10 +195,13 @@ def sided(
     width = max(1, int(chosen.sum(axis=2, dtype=np.int32).max(initial=0)))
     width = width if most is None else min(width, most)
     width = -(-width // 24) * 24  # few shapes, so few compilations
-    place = np.arange(none, dtype=np.int32) + np.int32(none) * ~chosen
-    place.sort(axis=2)
-    place = np.minimum(place[..., :width], none) + (none + 1) * own[:, None]
-    return padded(np.append(lists, own, axis=1).reshape(-1)[place], width)  # its rows end with the cell
+    # place in the list and number as one integer, since sorting those is fast; the cell itself comes last
+    bits = len(lists).bit_length()
+    kind = np.int32 if (none + 1) << bits < 2**31 else np.int64
+    coded, last = lists | np.arange(none, dtype=kind) << bits, own | kind(none << bits)
+    ordered = (coded - last)[:, None] * chosen + last[:, None]  # `where` takes four times as long
+    ordered.sort(axis=2)
+    return padded((ordered[..., :width] & (1 << bits) - 1).astype(np.int32), width)
 
 
 def padded(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.ndarray, "n ... width"]:
@@ -225,6 +223,7 @@ def tiling_defect(
     n, dtype = len(positions), positions.dtype
     share, angle = jnp.linspace(0, 1, 5, dtype=dtype), jnp.arange(16, dtype=dtype) * (2 * np.pi / 16) + 0.123
     radius = jnp.repeat(tube.apical_radius + share * (tube.basal_radius - tube.apical_radius), 16)[:, None]
+    turn = jnp.tile(jax.lax.complex(jnp.cos(angle), jnp.sin(angle)), 5)[:, None]
     place, lists = posts(positions), jnp.asarray(sides)
     width = min(n, BLOCK)
 
@@ -234,10 +233,9 @@ def tiling_defect(
         cells = jnp.minimum(which, n - 1)
         numbers = lists[cells].transpose(2, 1, 0)
         own, others = pick(place, cells), pick(place, numbers)
-        offset = jnp.mod(jnp.tile(angle, 5)[:, None] - own.angle + np.pi, 2 * np.pi) - np.pi
         ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
         rivals = settled(lambda: see_rivals(own, others, numbers < cells, tube), truth)
-        grid = see_angles(radius, offset)
+        grid = settled(lambda: see_turned(radius, turn, own), truth)
         length = least_reach(grid, rivals, ends, tube, truth).sum(axis=1)
         return jnp.where(which < n, jnp.maximum(length, 0) - tube.length / n, 0).sum(axis=1)
 

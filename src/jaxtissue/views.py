@@ -87,7 +87,9 @@ def posts(positions: Float[Array | np.ndarray, "... 2"]) -> Posts:
 
 def see_lines(lines: Lines, dtype: np.dtype) -> Grid:
     """The lines round each backbone, [lines, 1], in the middle window."""
-    return see_angles(jnp.asarray(lines.radius, dtype)[lines.layer][:, None], lines.offset(dtype)[:, None])
+    radius, offset = jnp.asarray(lines.radius, dtype)[lines.layer][:, None], lines.offset(dtype)[:, None]
+    turned = jax.lax.complex(radius * jnp.cos(offset), radius * jnp.sin(offset))
+    return Grid(radius, turned, sagitta_of(radius, turned))
 
 
 def see_window(lines: Lines, dtype: np.dtype, shift: Int[Array, "cells"], truth: Array) -> Grid:
@@ -98,9 +100,9 @@ def see_window(lines: Lines, dtype: np.dtype, shift: Int[Array, "cells"], truth:
     return Grid(middle.radius, turned, settled(lambda: sagitta_of(middle.radius, turned), truth))
 
 
-def see_angles(radius: Array, offset: Array) -> Grid:
-    """Lines at the given radii and angles from the backbones."""
-    turned = jax.lax.complex(radius * jnp.cos(offset), radius * jnp.sin(offset))
+def see_turned(radius: Array, turn: Array, own: Posts) -> Grid:
+    """Lines at the given radii, at angles given as e^(i angle), as seen from backbones."""
+    turned = radius * (turn * jax.lax.complex(own.cosine, -own.sine))
     return Grid(radius, turned, sagitta_of(radius, turned))
 
 
