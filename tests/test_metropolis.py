@@ -12,7 +12,7 @@ from jaxtissue.cells import measure_cells
 from jaxtissue.coloring import color, hop_conflicts
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import PRESETS
-from jaxtissue.metropolis import move_bound, propose
+from jaxtissue.metropolis import draw, move_bound, propose
 from jaxtissue.programs import PROGRAMS, ask, run_together
 from jaxtissue.records import shortlisted
 from jaxtissue.rounds import CAPACITY, padded_orders
@@ -45,9 +45,10 @@ class Bench:
         spare = ((0, 0), (0, self.width - rounds.shape[1]))
         plan = [np.pad(rounds, spare, constant_values=-1)]
         orders, temperatures = padded_orders(plan, SPAN, self.near), np.full(SPAN, temperature)
-        draw, tissue = (np.uint32(seed), np.int32(0)), tissue or self.tissue
+        draws, tissue = np.zeros((SPAN, 3, CELLS)), tissue or self.tissue
+        draws[0] = draw(seed, 0, CELLS, draws.dtype)
         rules = self.annealer.model, temperatures, self.near, orders, self.lines
-        ((after, trail),) = run_together([ask(play, *draw, tissue, *rules)])
+        ((after, trail),) = run_together([ask(play, draws, tissue, *rules)])
         return after, jax.tree.map(lambda leaf: leaf[0], trail.info)
 
     def play(self, state, sweeps: int, plan=None):
@@ -147,8 +148,8 @@ def test_frozen_tissue_never_gains_energy(bench) -> None:
 def test_hot_tissue_takes_every_move(bench) -> None:
     tissue, info = bench.sweep(bench.rounds, temperature=1e30)
     assert info.accepted == CELLS
-    moves, _ = jax.random.split(jax.random.fold_in(jax.random.key(0), 0))
-    expected = propose(moves, bench.tissue.place, bench.annealer.model)
+    drawn = draw(0, 0, CELLS, np.dtype(float))
+    expected = propose(drawn[:2], bench.tissue.place, bench.annealer.model)
     np.testing.assert_allclose(tissue.place.axial, expected.axial, rtol=1e-12)  # float64
     np.testing.assert_allclose(tissue.place.angle, expected.angle, rtol=1e-12)
 
@@ -159,7 +160,7 @@ def test_proposals_are_uniform_in_the_apical_disc_and_reflected() -> None:
     bound = float(move_bound(model, count))
     assert bound == pytest.approx(0.25 * np.sqrt(2 * np.pi * 1 * 60 / count / np.pi))
     middle = posts(jnp.tile(jnp.array([30.0, 3.0]), (count, 1)))
-    to = propose(jax.random.key(2), middle, model)
+    to = propose(draw(2, 0, count, np.dtype(np.float32))[:2], middle, model)
     along, turn = np.asarray(to.axial, float) - 30, np.asarray(to.angle, float) - 3
     square, direction = (along**2 + turn**2) / bound**2, np.arctan2(turn, along)
     assert square.max() < 1 + 1e-3  # float32: axial 30 is known to 1e-3 of the bound
@@ -167,11 +168,18 @@ def test_proposals_are_uniform_in_the_apical_disc_and_reflected() -> None:
     assert stats.kstest(square, "uniform").pvalue > 1e-3
     assert stats.kstest(direction / (2 * np.pi) + 0.5, "uniform").pvalue > 1e-3
     ends = posts(jnp.stack([jnp.tile(jnp.array([0.0, 60.0]), count // 2), jnp.zeros(count)], axis=-1))
-    to = propose(jax.random.key(3), ends, model)
+    to = propose(draw(3, 0, count, np.dtype(np.float32))[:2], ends, model)
     axial, angle = np.asarray(to.axial), np.asarray(to.angle)
     assert axial.min() >= 0 and axial.max() <= 60 and angle.min() >= 0 and angle.max() < 2 * np.pi
     folded = np.minimum(axial, 60 - axial) / bound
     assert folded.mean() == pytest.approx(4 / (3 * np.pi), abs=0.01)  # mean of |cos| over a disc; 5 sd
+
+
+def test_draws_differ_from_cell_to_cell_sweep_to_sweep_and_seed_to_seed() -> None:
+    tables = [draw(*of, 1000, np.dtype(float)) for of in ((0, 0), (0, 1), (1, 0), (1, 1), (2**32 - 1, 10**6))]
+    assert len(np.unique(tables)) == 5 * 3 * 1000
+    assert np.min(tables) >= 0 and np.max(tables) < 1
+    np.testing.assert_array_equal(draw(1, 0, 1000, np.dtype(float)), tables[2])
 
 
 def test_the_default_rule_hardly_ever_collides_on_tubes_of_one_program() -> None:

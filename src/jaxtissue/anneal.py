@@ -1,7 +1,8 @@
 """Annealing: spans of sweeps, lists and rounds renewed between them, at a schedule of temperatures."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -9,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxtissue.candidates import candidate_lists
+from jaxtissue.candidates import TILES, candidate_lists, tiling_defect
 from jaxtissue.cells import CellGeometry
 from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.coloring import CONFLICTS
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines, Resolution, plan_lines
-from jaxtissue.metropolis import move_bound
+from jaxtissue.metropolis import draw, move_bound
 from jaxtissue.programs import Ahead, Request, Task, run_together
 from jaxtissue.records import Measured, SweepRecord, least_around, shortlisted, sweep_record
 from jaxtissue.rounds import independent_rounds, one_by_one, padded_orders, round_width
@@ -73,7 +74,7 @@ class Annealer:
         if not (np.isfinite(temperatures).all() and (temperatures >= 0).all()):
             raise ValueError("temperatures must be finite and at least 0; change the schedule")
         dtype = jnp.result_type(float)
-        self.model = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), model)
+        self.model = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), model)
         self.resolution, self.algorithm, self.conflicts = resolution, algorithm, conflicts
         self.seed, self.temperatures = seed, temperatures
         self._exactness = EXACT * float(jnp.finfo(dtype).eps) * float(self.model.mean_volume)
@@ -152,10 +153,12 @@ class Annealer:
     ) -> Task[tuple[AnnealState, Trail]]:
         """Play the plan on given lists."""
         orders, sweeps = padded_orders(plan, SPAN, near), len(plan)
-        temperatures = np.zeros(SPAN, state.positions.dtype)
+        n, dtype = len(state.positions), state.positions.dtype
+        temperatures, draws = np.zeros(SPAN, dtype), np.zeros((SPAN, 3, n), dtype)
         temperatures[:sweeps] = self.temperatures[state.sweep : state.sweep + sweeps]
-        draw, lines = (np.uint32(self.seed), np.int32(state.sweep)), self._plan(len(state.positions))[0]
-        arguments = (*draw, measured.tissue, self.model, temperatures, near, orders, lines)
+        for k in range(sweeps):
+            draws[k] = draw(self.seed, state.sweep + k, n, dtype)
+        arguments = (draws, measured.tissue, self.model, temperatures, near, orders, self._plan(n)[0])
         needs = near.around.shape[1], orders.rounds.shape[1]
         _, trail = yield from self._ask(Request(play, arguments, needs, fit_play))
         trail = jax.tree.map(lambda leaf: leaf[:sweeps], trail)
@@ -199,42 +202,58 @@ class Annealer:
         """Measure the whole tissue on complete lists; the last result is kept."""
         if self._last and self._last[0].positions is state.positions:
             return self._last[1]
-        if self._last is None and state.sweep < len(self.temperatures) and self._has_few_rounds:
-            yield self._expect_play(state)
-        sides, back = self._find(state.positions, state.widths[0])
+        sides, back = yield from self._find(state)
         # lists are not padded to those of others: their width sets how finely `stop` compares
-        asked = state.positions, self.model, self._plan(len(state.positions)), sides, back
-        tissue, clear = yield from self._ask(Request(look, asked))
+        tissue, clear = yield from self._ask(Request(look, self._looked_at(state, sides, back), seldom=True))
         self._last = state, Measured(tissue, sides, clear)
         return self._last[1]
 
-    @property
-    def _has_few_rounds(self) -> bool:
-        """Whether a sweep most likely has no more rounds than the least that are made room for."""
-        return self.algorithm == "mh" or self.conflicts in ("near", "2-hop")
-
-    def _expect_play(self, state: AnnealState) -> Ahead:
-        """What `play` will be asked for, with lists and rounds as wide as they are likely to be."""
-        n, dtype, lines = len(state.positions), state.positions.dtype, self._plan(len(state.positions))[0]
-        blank: Any = np.zeros(n, dtype)
-        reach: Any = np.zeros((n, 2, lines.row), dtype)
-        tissue = TissueState(Posts(blank, blank, blank, blank), blank, blank, reach, blank > 0)
-        width = max(least_around(n), state.widths[1])
-        near = Neighborhoods(np.zeros((n, width), np.int32), np.zeros((n, 2, shortlist_length(n)), np.int32))
-        rounds = np.zeros((n, 1) if self.algorithm == "mh" else (1, round_width(n)), np.int32)
-        orders, temperatures = padded_orders([rounds], SPAN, near), np.zeros(SPAN, dtype)
-        return Ahead(play, (np.uint32(0), np.int32(0), tissue, self.model, temperatures, near, orders, lines))
-
-    def _find(self, positions: Float[np.ndarray, "n 2"], width: int) -> tuple[np.ndarray, np.ndarray]:
-        """Complete candidate lists, at least of a width, and their `mirror`."""
-        begin, n = time.perf_counter(), len(positions)
+    def _find(self, state: AnnealState) -> Task[tuple[np.ndarray, np.ndarray]]:
+        """Complete candidate lists, at least as wide as before, and their `mirror`."""
+        positions, tube, n = state.positions, self.model.tube, len(state.positions)
         margin = MARGIN * shortlist_length(n) * float(move_bound(self.model, n))
-        attempts = candidate_lists(jnp.asarray(positions), self.model.tube, margin, width)
-        mirrored = ((tried, mirror(tried.sides)) for tried in attempts)  # while they are checked
-        (sides, _), back = next(pair for pair in mirrored if pair[0].complete)
-        if self._last is None or sides.shape[2] > width:  # a check of new shapes, which is compiled
-            self.compile_seconds += time.perf_counter() - begin
-        return sides, back
+        for sides, has_all in candidate_lists(positions, tube, margin, state.widths[0]):
+            check = Request(
+                tiling_defect, (positions, tube, sides), seldom=True, meanwhile=partial(mirror, sides)
+            )
+            if self._last is None:
+                for ahead in self._expected(state, sides, [] if has_all else [check]):
+                    yield from self._ask(ahead)
+            if has_all:
+                return sides, mirror(sides)
+            answer = yield check
+            self.compile_seconds += answer.compile_seconds
+            if answer.result < TILES:
+                return sides, answer.meanwhile
+        raise AssertionError("lists that have all are complete")
+
+    def _expected(
+        self, state: AnnealState, sides: Int[np.ndarray, "n 2 candidates"], soon: Sequence[Request]
+    ) -> Iterator[Ahead]:
+        """What will be asked for: `soon`, then what sees the tissue and, with lists and rounds as wide as
+        they are likely to be, what plays sweeps."""
+        for request in soon:
+            yield Ahead(request.function, request.arguments, request.seldom)
+        n, dtype, lines = len(state.positions), state.positions.dtype, self._plan(len(state.positions))[0]
+        plays = state.sweep < len(self.temperatures)
+        if plays and (self.algorithm == "mh" or self.conflicts in ("near", "2-hop")):  # rounds are few
+            blank: Any = np.zeros(n, dtype)
+            reach: Any = np.zeros((n, 2, lines.row), dtype)
+            tissue = TissueState(Posts(blank, blank, blank, blank), blank, blank, reach, blank > 0)
+            few = np.zeros((n, 2, min(shortlist_length(n), sides.shape[2])), np.int32)
+            near = Neighborhoods(np.zeros((n, max(least_around(n), state.widths[1])), np.int32), few)
+            rounds = np.zeros((n, 1) if self.algorithm == "mh" else (1, round_width(n)), np.int32)
+            orders, temperatures = padded_orders([rounds], SPAN, near), np.zeros(SPAN, dtype)
+            draws = np.zeros((SPAN, 3, n), dtype)
+            yield Ahead(play, (draws, tissue, self.model, temperatures, near, orders, lines))
+        yield Ahead(look, self._looked_at(state, sides, sides), seldom=True)
+        if plays:
+            table: Any = np.zeros((SPAN, n), dtype)
+            yield Ahead(energy_terms, (CellGeometry(table, table), self.model), seldom=True)
+
+    def _looked_at(self, state: AnnealState, sides: np.ndarray, back: np.ndarray) -> tuple:
+        """The arguments of `look`."""
+        return state.positions, self.model, self._plan(len(state.positions)), sides, back
 
     def _rounds(self, state: AnnealState) -> Task[Plan]:
         """For each sweep of a span the order of its moves: one by one, or in independent sets."""
@@ -243,7 +262,7 @@ class Annealer:
         measured = yield from self._measure(state)
         return SPAN * [independent_rounds(self.conflicts, state.positions, self.model, measured.contacts)]
 
-    def _ask(self, request: Request) -> Task[Any]:
+    def _ask(self, request: Request | Ahead) -> Task[Any]:
         """What a program gives; the time it took to compile is noted."""
         answer = yield request
         self.compile_seconds += answer.compile_seconds
@@ -251,7 +270,7 @@ class Annealer:
 
     def _energies(self, sizes: Float[np.ndarray, "2 sweeps n"]) -> Task[Float[np.ndarray, "3 sweeps"]]:
         """Energy and the paper's two terms of it after each sweep, summed in double precision."""
-        terms = yield from self._ask(Request(energy_terms, (CellGeometry(*sizes), self.model)))
+        terms = yield from self._ask(Request(energy_terms, (CellGeometry(*sizes), self.model), seldom=True))
         return np.array([np.sum(term, axis=1, dtype=float) for term in terms])
 
 

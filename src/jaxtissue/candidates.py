@@ -4,8 +4,9 @@ A list must hold every rival that stops a cell on some line; more only cost time
 backbones nearest along the axis.
 """
 
+import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import jax
@@ -17,7 +18,7 @@ from scipy import sparse
 
 from jaxtissue.cells import BLOCK, CellGeometry, measure_cells
 from jaxtissue.lines import PRESETS, Resolution, plan_lines
-from jaxtissue.lowering import settled
+from jaxtissue.lowering import light_options, settled
 from jaxtissue.tube import Tube
 from jaxtissue.views import LEVEL, pick, posts, see_rivals, see_turned
 from jaxtissue.walls import least_reach
@@ -53,19 +54,21 @@ def find_candidates(
     As many nearest backbones are taken as it needs for the cells to tile every line; those within `margin`
     along the axis stand on both sides.
     """
-    return next(tried.sides for tried in candidate_lists(positions, tube, margin) if tried.complete)
+    attempts = candidate_lists(positions, tube, margin)
+    check = _checking()
+    return next(few for few, has_all in attempts if has_all or float(check(positions, tube, few)) < TILES)
+
+
+@functools.cache
+def _checking() -> Callable[..., Array]:
+    return jax.jit(tiling_defect, compiler_options=light_options())
 
 
 class Attempt(NamedTuple):
-    """Candidate lists, and their `tiling_defect` or 0 if they hold everyone."""
+    """Candidate lists: they lack nobody if they have all, or if their `tiling_defect` is below TILES."""
 
     sides: Int[np.ndarray, "n 2 side_candidates"]
-    defect: float | Array  # may still be computed: what is done before it is looked at costs no time
-
-    @property
-    def complete(self) -> bool:
-        """Whether the lists lack nobody."""
-        return float(self.defect) < TILES
+    has_all: bool
 
 
 def candidate_lists(
@@ -75,10 +78,8 @@ def candidate_lists(
     count = NEAREST
     while True:
         most = A_SIDE * count // NEAREST
-        everyone = most >= len(positions) - 1
         sides = sided(nearest(positions, tube, count), positions, tube, margin, most=most)
-        sides = padded(sides, width)
-        yield Attempt(sides, 0.0 if everyone else tiling_defect(positions, tube, sides))
+        yield Attempt(padded(sides, width), most >= len(positions) - 1)
         count *= 2
 
 

@@ -1,7 +1,7 @@
 """Moves: one sweep of Metropolis-Hastings over independent sets (paper, section 3.3, IS-MH).
 
-Classical MH is the same sweep with one move a round. A move's draws depend on the sweep's key and its cell
-alone, so both take the same decisions when they visit the cells in the same order.
+Classical MH is the same sweep with one move a round. A move's draws depend on seed, sweep and cell alone, so
+both take the same decisions when they visit the cells in the same order.
 """
 
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int
 
 from jaxtissue.changes import (
     Neighborhoods,
@@ -52,12 +52,18 @@ class Order(NamedTuple):
     room: Int[Array | np.ndarray, ""]
 
 
-def propose(key: PRNGKeyArray, place: Posts, model: Model) -> Posts:
+def draw(seed: int, sweep: int, cells: int, dtype: np.dtype) -> Float[np.ndarray, "3 n"]:
+    """Numbers uniform in [0, 1) for every cell in a sweep: how far it moves, whereto, and whether it may.
+
+    Drawn on the host: a generator would be a seventh of what is compiled for sweeps.
+    """
+    return np.random.default_rng([seed, sweep, 1]).random((3, cells), dtype)
+
+
+def propose(draws: Float[Array, "2 n"], place: Posts, model: Model) -> Posts:
     """A move for every cell: uniform in an apical disc of radius 0.25 sqrt(A / pi), A the mean apical area
     per cell (paper, section 4.3), reflected at the tube's ends. Both ends of the backbone move together."""
-    n, dtype = len(place.axial), place.axial.dtype
-    bound = move_bound(model, n)
-    share, turn = jax.random.uniform(key, (2, n), dtype)
+    bound, (share, turn) = move_bound(model, len(place.axial)), draws
     distance, direction = bound * jnp.sqrt(share), 2 * np.pi * turn
     axial = place.axial + distance * jnp.cos(direction)
     angle = place.angle + distance * jnp.sin(direction) / model.tube.apical_radius
@@ -66,11 +72,11 @@ def propose(key: PRNGKeyArray, place: Posts, model: Model) -> Posts:
 
 def move_bound(model: Model, cells: int) -> Float[Array, ""]:
     """Longest move on the apical surface, 0.25 sqrt(2 R_a L / n)."""
-    return 0.25 * jnp.sqrt(2 * model.tube.apical_radius * model.tube.length / cells)
+    return 0.25 * (2 * model.tube.apical_radius * model.tube.length / cells) ** 0.5
 
 
 def sweep(
-    key: PRNGKeyArray,
+    draws: Float[Array, "3 n"],
     state: TissueState,
     model: Model,
     temperature: Float[Array, ""],
@@ -78,14 +84,12 @@ def sweep(
     order: Order,
     lines: Lines,
 ) -> tuple[TissueState, SweepInfo]:
-    """One move for every cell, round by round: propose, find what changes, measure it, decide.
+    """One move for every cell, as drawn, round by round: propose, find what changes, measure it, decide.
 
     A move that would change a cell which an earlier move of its round changes too is put off to the rounds at
     the end; so are moves that change more cells than there is room for.
     """
-    move_key, accept_key = jax.random.split(key)
-    proposed = propose(move_key, state.place, model)
-    chance = jax.random.uniform(accept_key, state.volume.shape, state.volume.dtype)
+    proposed, chance = propose(draws[:2], state.place, model), draws[2]
     rounds, count = order.rounds, order.played
     n = len(chance)
 

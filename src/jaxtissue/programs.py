@@ -17,24 +17,29 @@ import numpy as np
 import platformdirs
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
+from jaxtissue.lowering import light_options
+
 T = TypeVar("T")
 AXIS = "replicas"
 IN_TURN = ("cpu",)  # platforms whose devices take their replicas one after another, not all at once
 PROGRAMS: dict[Any, Callable | Future] = {}  # compiled, or being so, for all who are alike in shapes
-BESIDE = ThreadPoolExecutor(1, "compile")  # compiles what will be needed, beside what is done meanwhile
+BESIDE = ThreadPoolExecutor(2, "compile")  # compile what will be needed, beside what is done meanwhile
 
 
 class Request(NamedTuple):
     """A call of a jittable function with the arrays of one replica.
 
     Where the axes of some arrays may be longer than one replica needs, `sizes` tells what it needs, and
-    `fit(arguments, sizes)` pads to those of all; that must not change the result.
+    `fit(arguments, sizes)` pads to those of all; that must not change the result. `seldom`: it is optimized
+    less, and compiled sooner. `meanwhile` is done on the host while the device computes.
     """
 
     function: Callable[..., Any]
     arguments: tuple
     sizes: tuple[int, ...] = ()
     fit: Callable[[tuple, tuple[int, ...]], tuple] | None = None
+    seldom: bool = False
+    meanwhile: Callable[[], Any] = lambda: None
 
 
 class Ahead(NamedTuple):
@@ -42,13 +47,16 @@ class Ahead(NamedTuple):
 
     function: Callable[..., Any]
     arguments: tuple
+    seldom: bool = False
 
 
 class Answer(NamedTuple):
-    """What a request gave, as NumPy arrays, and the seconds that it waited for a program."""
+    """What a request gave, as NumPy arrays; the seconds it traced or waited for a program; what was done
+    meanwhile."""
 
     result: Any
     compile_seconds: float
+    meanwhile: Any = None
 
 
 Task = Generator[Request | Ahead, Answer, T]
@@ -85,8 +93,9 @@ def run_together(tasks: Sequence[Task[T]], slots: int = 0) -> list[T]:
             try:
                 step = tasks[number].send(answer)
                 while isinstance(step, Ahead):
+                    begin = time.perf_counter()
                     _compile_ahead(step, slots, devices)
-                    step = tasks[number].send(Answer(None, 0.0))
+                    step = tasks[number].send(Answer(None, time.perf_counter() - begin))
                 asked[number] = step
             except StopIteration as end:
                 ends[number] = end.value
@@ -97,9 +106,9 @@ def run_together(tasks: Sequence[Task[T]], slots: int = 0) -> list[T]:
             asked[number] = request._replace(arguments=arguments)
             groups.setdefault((request.function, _shapes(arguments)), []).append(number)
         answers = {}
-        for (function, _), numbers in groups.items():
-            some = [asked[number].arguments for number in numbers]
-            answers |= zip(numbers, _run_alike(function, some, slots, devices), strict=True)
+        for numbers in groups.values():
+            some = [asked[number] for number in numbers]
+            answers |= zip(numbers, _run_alike(some, slots, devices), strict=True)
     return [ends[number] for number in range(len(tasks))]
 
 
@@ -125,10 +134,10 @@ def _shapes(arguments: Any) -> tuple:
     return structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
 
 
-def _run_alike(function: Callable, calls: Sequence[tuple], slots: int, devices: int) -> list[Answer]:
-    """One answer for each call; all are alike in shapes."""
-    # one call on each device first, then the second on each
-    place = np.arange(slots).reshape(devices, -1).T.ravel()[: len(calls)]
+def _run_alike(requests: Sequence[Request], slots: int, devices: int) -> list[Answer]:
+    """One answer for each request; all are alike in function and shapes."""
+    # one request on each device first, then the second on each
+    place = np.arange(slots).reshape(devices, -1).T.ravel()[: len(requests)]
 
     def stacked(*leaves: np.ndarray) -> np.ndarray:
         table = np.empty((slots, *leaves[0].shape), leaves[0].dtype)
@@ -139,29 +148,35 @@ def _run_alike(function: Callable, calls: Sequence[tuple], slots: int, devices: 
 
     active = np.zeros(slots, bool)
     active[place] = True
-    mesh, batch = _mesh(devices), (active, jax.tree.map(stacked, *calls))
-    known, compiling = (function, _shapes(batch), mesh), 0.0
+    mesh, batch = _mesh(devices), (active, jax.tree.map(stacked, *(some.arguments for some in requests)))
+    function, compiling = requests[0].function, 0.0
+    known = function, _shapes(batch), mesh
     program = PROGRAMS.get(known)
     if program is None or isinstance(program, Future):
         begin = time.perf_counter()
         if program is None or program.exception():
-            program = _lowered(function, mesh, batch).compile()
+            program = _compiling(requests[0], mesh, batch)()
         else:
             program = program.result()
         PROGRAMS[known] = program
         compiling = time.perf_counter() - begin
-    results = jax.tree.map(np.asarray, program(*batch))
-    return [Answer(jax.tree.map(lambda leaf, at=at: leaf[at], results), compiling) for at in place]
+    pending = program(*batch)
+    done = [request.meanwhile() for request in requests]
+    results = jax.tree.map(np.asarray, pending)
+    each = [jax.tree.map(lambda leaf, at=at: leaf[at], results) for at in place]
+    return [Answer(result, compiling, other) for result, other in zip(each, done, strict=True)]
 
 
-def _lowered(function: Callable, mesh: Mesh, batch: tuple) -> jax.stages.Lowered:
-    """The program for arguments of these shapes, spread over the mesh, to be compiled."""
+def _compiling(asked: Request | Ahead, mesh: Mesh, batch: tuple) -> Callable[[], Callable]:
+    """What compiles the program for arguments of these shapes, spread over the mesh; here it is traced."""
     sharding = NamedSharding(mesh, PartitionSpec(AXIS))
 
     def shape(leaf: Any) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding)
 
-    return jax.jit(_lifted(function, mesh)).lower(*jax.tree.map(shape, batch))
+    lowered = jax.jit(_lifted(asked.function, mesh)).lower(*jax.tree.map(shape, batch))
+    options = light_options() if asked.seldom else {}
+    return lambda: lowered.compile(options)
 
 
 def _compile_ahead(step: Ahead, slots: int, devices: int) -> None:
@@ -177,11 +192,11 @@ def _compile_ahead(step: Ahead, slots: int, devices: int) -> None:
     def shape(leaf: np.ndarray) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct((slots, *leaf.shape), leaf.dtype)
 
-    arguments = jax.tree.map(shape, _fitted(Request(*step), ()))
+    arguments = jax.tree.map(shape, _fitted(Request(step.function, step.arguments), ()))
     batch = jax.ShapeDtypeStruct((slots,), np.dtype(bool)), arguments
     known = step.function, _shapes(batch), mesh
     if known not in PROGRAMS:
-        PROGRAMS[known] = BESIDE.submit(_lowered(step.function, mesh, batch).compile)
+        PROGRAMS[known] = BESIDE.submit(_compiling(step, mesh, batch))
 
 
 @functools.cache

@@ -42,8 +42,7 @@ def look(
 
 
 def play(
-    seed: Int[Array, ""],
-    first: Int[Array, ""],
+    draws: Float[Array, "sweeps 3 n"],
     state: TissueState,
     model: Model,
     temperatures: Float[Array, "sweeps"],
@@ -51,21 +50,18 @@ def play(
     orders: Order,
     lines: Lines,
 ) -> tuple[TissueState, Trail]:
-    """Sweeps `first`, `first` + 1, ... of the run with this seed, each with a key of its own number.
+    """Sweeps one after another; the leaves of `orders` have an axis of sweeps.
 
-    The leaves of `orders` have an axis of sweeps.
     A sweep without rounds is none: so fewer sweeps than temperatures need no program of their own.
     """
 
     def one(state: TissueState, this: tuple) -> tuple[TissueState, Trail]:
-        number, temperature, order = this
-        key = jax.random.fold_in(jax.random.key(seed), number)
-        state, info = sweep(key, state, model, temperature, near, order, lines)
+        drawn, temperature, order = this
+        state, info = sweep(drawn, state, model, temperature, near, order, lines)
         positions = jnp.stack([state.place.axial, state.place.angle], axis=-1)
         return state, Trail(state.volume, state.lateral_area, positions, info)
 
-    numbers = first + jnp.arange(len(temperatures))
-    return jax.lax.scan(one, state, (numbers, temperatures, orders))
+    return jax.lax.scan(one, state, (draws, temperatures, orders))
 
 
 def fit_play(arguments: tuple, sizes: tuple[int, ...]) -> tuple:
