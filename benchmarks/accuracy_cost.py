@@ -20,7 +20,7 @@ from peer import find_peer
 import jaxtissue as jt
 
 LAYERS, DENSITIES = (3, 4, 5, 6, 8, 10), (3, 4, 5, 6, 8, 10)
-FEW = ((3, 3), (4, 3.3), (5, 6), (7, 8), (10, 10))  # from scratch, and on one core
+FEW = ((3, 3), (3, 4), (4, 3.3), (5, 5), (5, 6), (7, 8), (8, 8), (10, 10))  # from scratch, and on one core
 VOXELS = (1.0, 0.5, 0.25)
 EXACT = (5, 10, 20, 50, 100)
 PEER = (4, 5, 10, 20, 50)
@@ -40,12 +40,12 @@ def plan(quick: bool) -> list[tuple[str, str, Any]]:
     """Who is measured: threads (`whole` machine, `one` core), kind and size."""
     few = [tuple(size) for size in (FEW[1:4] if quick else FEW)]
     grid = few if quick else list(product(LAYERS, DENSITIES))
-    grid += [size for size in map(tuple, jt.PRESETS.values()) if size not in grid]
+    grid += [size for size in [*map(tuple, jt.PRESETS.values()), *few] if size not in grid]
     rows = [("whole", "kept", size) for size in grid]
     rows += [("one", "kept", size) for size in few]
     rows += [
         (threads, kind, size)
-        for kind in ("complete", "scratch")
+        for kind in ("checked", "complete", "scratch")
         for size in few
         for threads in ("whole", "one")
     ]
@@ -102,7 +102,7 @@ def cheapest(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         good = [row for row in good if row["volume"] <= volume and row["lateral_area"] <= area]
         peers = [row for row in good if row["kind"] == "peer"]
         best = min(peers, key=lambda row: row["seconds"], default=None)
-        for kind, threads in product(("kept", "complete", "scratch"), ("whole", "one")):
+        for kind, threads in product(("kept", "checked", "complete", "scratch"), ("whole", "one")):
             ours = [row for row in good if (row["kind"], row["threads"]) == (kind, threads)]
             first = min(ours, key=lambda row: row["seconds"], default=None)
             if first:

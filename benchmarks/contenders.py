@@ -5,6 +5,7 @@ python benchmarks/contenders.py    reads requests and writes answers, one JSON o
 
 import json
 import math
+import os
 import shutil
 import subprocess
 import sys
@@ -19,8 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxtissue as jt
-from jaxtissue.shortlists import CANDIDATES, mirror, nearest_sides, sight_lines
-from jaxtissue.spans import look
 
 CASES = ("R_a = 1", "R_a = 5")
 CALLS = 5  # timed in a row; their median is the answer
@@ -38,27 +37,12 @@ def tissue(case: str) -> tuple[np.ndarray, jt.Tube]:
     return place, jt.Tube(float(known["L"]), float(known["Ra"]), float(known["Rb"]))
 
 
-@cache
-def lists(case: str, kind: str) -> jax.Array:
-    """Candidates kept from before: `complete`, or `kept`, the annealer's 24 a side."""
-    sides = jt.find_candidates(*tissue(case))
-    return jnp.asarray(sides if kind == "complete" else shortlists(*tissue(case), sides))
-
-
-def shortlists(place: np.ndarray, tube: jt.Tube, sides: np.ndarray) -> np.ndarray:
-    """Of complete candidates the 24 a side that the annealer keeps for some sweeps."""
-    size = jt.PRESETS["standard"]
-    lines = jt.plan_lines(tube, len(place), size), sight_lines(tube, len(place), size)
-    asked = jnp.asarray(place), jt.tube_model(tube, len(place)), lines, jnp.asarray(sides), mirror(sides)
-    _, clear = jax.jit(look)(*asked)
-    return nearest_sides(sides, np.asarray(clear), CANDIDATES)
-
-
 def diagram(case: str, kind: str, size: Any) -> Callable[[], tuple[Any, Any]]:
     """A function that measures V and A (None where it can't) of every cell; its result may still be pending.
 
-    `kept` and `complete`: on lists from before, at a resolution; `scratch`: lists found anew. `voxels`:
-    the nearest backbone of every voxel of about this width. `exact`: the exact path with so many samples.
+    `kept`: by a `Gauge`, on its lists from before; `checked`: these checked first; `complete`: on the longer
+    lists that `scratch` finds anew, all at a resolution. `voxels`: the nearest backbone of every voxel of
+    about this width. `exact`: the exact path with so many samples.
     """
     place, tube = tissue(case)
     if kind == "exact":
@@ -75,12 +59,21 @@ def diagram(case: str, kind: str, size: Any) -> Callable[[], tuple[Any, Any]]:
             return jt.label_volumes(labels[:, 0], volumes, len(place)), None
 
         return count
-    lines = jt.plan_lines(tube, len(place), jt.Resolution(*size))
-    sides = None if kind == "scratch" else lists(case, kind)
+    size = jt.Resolution(*size)
+    lines, sides = jt.plan_lines(tube, len(place), size), None
+    if kind == "complete":
+        sides = jnp.asarray(jt.find_candidates(place, tube))
+    gauge = jt.Gauge(tube, size)
+    if kind in ("kept", "checked"):
+        gauge.measure(place)
 
     def measure() -> tuple[Any, Any]:
-        near = jnp.asarray(jt.find_candidates(place, tube)) if sides is None else sides
-        cells = measure_sizes(positions, tube, lines, near)
+        if kind == "complete":
+            cells = measure_sizes(positions, tube, lines, sides)
+        elif kind == "scratch":
+            cells, _ = jt.measure_tissue(place, tube, size, surfaces=False)
+        else:
+            cells = gauge.measure(place, check=kind == "checked")
         return cells.volume, cells.lateral_area
 
     return measure
@@ -111,13 +104,15 @@ def answer(case: str, kind: str, size: Any) -> dict[str, Any]:
 
 
 class Worker:
-    """A process that answers requests: on every core, or pinned to one."""
+    """A process that answers requests: with a device for every core, or pinned to one."""
 
     def __init__(self, pinned: bool) -> None:
-        command = [sys.executable, __file__]
+        command, cores = [sys.executable, __file__], 1 if pinned else os.cpu_count()
         if pinned:
             command = ["taskset", "-c", "0", *command]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        environment = os.environ | {"JAX_NUM_CPU_DEVICES": str(cores)}
+        pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        self._process = subprocess.Popen(command, env=environment, **pipes)
 
     def ask(self, case: str, kind: str, size: Any) -> dict[str, Any]:
         """One answer. Raises `RuntimeError` where the process has ended."""

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from conftest import REFERENCES, read_reference
 
-from jaxtissue.candidates import TILES, find_candidates, measure_tissue, sided, tiling_defect
+from jaxtissue.candidates import TILES, find_candidates, sided, tiling_defect
 from jaxtissue.cells import CellGeometry, measure_cells
+from jaxtissue.diagrams import measure_tissue
 from jaxtissue.exact import exact_cells
 from jaxtissue.lines import PRESETS, REACH, plan_lines
 from jaxtissue.tube import Tube

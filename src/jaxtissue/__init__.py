@@ -10,10 +10,11 @@ True
 
 from jaxtissue.anneal import Annealer, AnnealState, advance_together, record_together
 from jaxtissue.backbones import Backbones, distance_between_segments, distance_to_segment
-from jaxtissue.candidates import find_candidates, measure_tissue, sided, tiling_defect
+from jaxtissue.candidates import find_candidates, sided, tiling_defect
 from jaxtissue.cells import CellGeometry, measure_cells
 from jaxtissue.changes import TissueState, tissue_state
 from jaxtissue.contacts import Contacts, find_contacts
+from jaxtissue.diagrams import Gauge, measure_tissue
 from jaxtissue.edges import trace_edges
 from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
 from jaxtissue.exact import ExactDiagram, exact_cells
@@ -52,6 +53,7 @@ __all__ = [
     "Connectivity",
     "Contacts",
     "ExactDiagram",
+    "Gauge",
     "Lines",
     "Model",
     "NeighborLaw",

@@ -16,8 +16,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import sparse
 
-from jaxtissue.cells import BLOCK, CellGeometry, measure_cells
-from jaxtissue.lines import PRESETS, Resolution, plan_lines
+from jaxtissue.cells import BLOCK
 from jaxtissue.lowering import light_options, settled
 from jaxtissue.tube import Tube
 from jaxtissue.views import LEVEL, pick, posts, see_rivals, see_turned
@@ -28,23 +27,6 @@ A_SIDE = 72  # of them at most on one side, where cells at the ends of the tube 
 ROWS = 128  # cells compared at once: tables that fit the cache
 TILES = 1e-5  # relative defect of the lengths along a line above which lists are taken as incomplete
 
-_measure = jax.jit(measure_cells)
-
-
-def measure_tissue(
-    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, resolution: Resolution = PRESETS["standard"]
-) -> tuple[CellGeometry, float]:
-    """Sizes of every cell of a tissue, with its surfaces, and the defect of an exact sum over all cells.
-
-    The defect is the largest relative error of the cells' lengths summed along a line, `tiling_defect`: 0 to
-    rounding unless a candidate list overflowed. Lists are grown until nothing overflows, so this takes
-    concrete arrays; inside `jit` call `measure_cells`. Positions as (axial, angle), [n, 2].
-    """
-    sides = find_candidates(positions, tube)
-    lines = plan_lines(tube, len(positions), resolution, surfaces=True)
-    sizes, _ = _measure(positions, tube, lines, jnp.asarray(sides))
-    return sizes, float(tiling_defect(positions, tube, jnp.asarray(sides)))
-
 
 def find_candidates(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0
@@ -54,9 +36,25 @@ def find_candidates(
     As many nearest backbones are taken as it needs for the cells to tile every line; those within `margin`
     along the axis stand on both sides.
     """
-    attempts = candidate_lists(positions, tube, margin)
-    check = _checking()
-    return next(few for few, has_all in attempts if has_all or float(check(positions, tube, few)) < TILES)
+    return complete_lists(positions, tube, margin)[0]
+
+
+def complete_lists(
+    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0
+) -> tuple[Int[np.ndarray, "n 2 side_candidates"], float]:
+    """The same with their `tiling_defect`."""
+    for sides, has_all in candidate_lists(positions, tube, margin):
+        defect = find_defect(positions, tube, sides)
+        if has_all or defect < TILES:
+            return sides, defect
+    raise AssertionError("lists that have all are complete")
+
+
+def find_defect(
+    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, sides: Int[np.ndarray, "n 2 candidates"]
+) -> float:
+    """`tiling_defect` of arrays at hand, by a program that is compiled soon."""
+    return float(_checking()(positions, tube, sides))
 
 
 @functools.cache

@@ -1,5 +1,6 @@
 """Where cells are measured: lines parallel to the axis, in layers of constant radius."""
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -142,7 +143,12 @@ def layer_rule(tube: Tube, layers: int) -> tuple[Float[np.ndarray, "layers"], Fl
     >>> radius.round(2).tolist(), round(float(weight @ radius), 9)  # (4^2 - 1^2) / 2
     ([1.29, 2.25, 3.48], 7.5)
     """
-    inner, outer = float(tube.apical_radius), float(tube.basal_radius)
+    radius, weight = _layer_rule(float(tube.apical_radius), float(tube.basal_radius), layers)
+    return radius.copy(), weight.copy()
+
+
+@functools.lru_cache(256)
+def _layer_rule(inner: float, outer: float, layers: int) -> tuple[np.ndarray, np.ndarray]:
     if layers == 1:
         return np.array([(inner + outer) / 2]), np.array([outer - inner])
     share = (np.arange(layers) + INSET) / (layers - 1 + 2 * INSET)

@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from jaxtissue import io
 from jaxtissue.anneal import SPAN, Annealer, AnnealState, renews_at
-from jaxtissue.candidates import measure_tissue
+from jaxtissue.diagrams import measure_tissue
 from jaxtissue.lines import PRESETS, resolution_named
 from jaxtissue.memory import tell_memory
 from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxtissue import io
-from jaxtissue.candidates import measure_tissue
+from jaxtissue.diagrams import measure_tissue
 from jaxtissue.energy import Model
 from jaxtissue.exact import exact_cells
 from jaxtissue.lines import PRESETS, Resolution

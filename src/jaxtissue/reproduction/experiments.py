@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtissue import io
-from jaxtissue.candidates import measure_tissue
+from jaxtissue.diagrams import measure_tissue
 from jaxtissue.reproduction.tissues import Annealing, History, anneal_history
 from jaxtissue.reproduction.workers import Workers
 from jaxtissue.spread import covering_radius, separation

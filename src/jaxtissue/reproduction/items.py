@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxtissue.candidates import measure_tissue
 from jaxtissue.contacts import find_contacts
+from jaxtissue.diagrams import measure_tissue
 from jaxtissue.edges import trace_edges
 from jaxtissue.laws import NeighborLaw, fit_neighbor_law
 from jaxtissue.plot import Tissue, plot_surfaces

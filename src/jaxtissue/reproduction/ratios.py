@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtissue.candidates import measure_tissue
+from jaxtissue.diagrams import measure_tissue
 from jaxtissue.energy import tube_model
 from jaxtissue.laws import bound_ratios
 from jaxtissue.reproduction.experiments import THRESHOLDS, Plan, Store, Table, tabulate

@@ -1,0 +1,146 @@
+"""Whole diagrams: the sizes of all cells, once, or again and again while the tissue moves."""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Float, Int
+
+from jaxtissue.candidates import TILES, complete_lists, find_defect
+from jaxtissue.cells import CellGeometry, measure_cells
+from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines
+from jaxtissue.lowering import light_options
+from jaxtissue.shortlists import clearance, mirror, nearest_sides, ranked, shortlist_length, sight_lines
+from jaxtissue.tube import Tube
+
+Positions = Float[Array | np.ndarray, "n 2"]
+CELLS = "cells"
+
+
+def measure_tissue(
+    positions: Positions,
+    tube: Tube,
+    resolution: Resolution = PRESETS["standard"],
+    surfaces: bool = True,
+) -> tuple[CellGeometry, float]:
+    """Sizes of every cell of a tissue, and the defect of an exact sum over all cells.
+
+    The defect is the largest relative error of the cells' lengths summed along a line, `tiling_defect`: 0 to
+    rounding unless a candidate list overflowed. Lists are grown until nothing overflows, so this takes
+    concrete arrays; inside `jit` call `measure_cells`. Positions as (axial, angle), [n, 2]. Without
+    `surfaces`, areas and perimeters on them are left out.
+    """
+    sides, defect = complete_lists(positions, tube)
+    lines = plan_lines(tube, len(positions), resolution, surfaces=surfaces)
+    return _measure(positions, jax.tree.map(np.asarray, (tube, lines, sides))), defect
+
+
+class Kept(NamedTuple):
+    """What a `Gauge` keeps: few candidates of each cell, and all but the positions on every device."""
+
+    sides: Int[np.ndarray, "n 2 few"]
+    placed: tuple[Tube, Lines, Array]
+
+
+class Gauge:
+    """Measures a tissue that moves, on short candidate lists, kept as long as they lack nobody.
+
+    Every cell is compared with the 24 candidates a side (more of more than 500 cells) that could soonest stop
+    it, and lengths are summed along lines as by `measure_tissue`. Where the sum shows that somebody is
+    lacking, lists are found anew, which `renewals` counts, and the cells are measured on these. Without
+    `check` there is no sum: then it is for the caller to know that the lists hold, as after small moves.
+
+    >>> tube = Tube(length=40, apical_radius=2, basal_radius=6)
+    >>> positions = tube.random_positions(jax.random.key(0), 100)
+    >>> gauge = Gauge(tube, PRESETS["draft"])
+    >>> first = gauge.measure(positions)
+    >>> turned = gauge.measure(positions + jnp.array([0, 0.01]))
+    >>> gauge.renewals, bool(abs(turned.volume - first.volume).max() < 1e-3)
+    (1, True)
+    """
+
+    def __init__(
+        self, tube: Tube, resolution: Resolution = PRESETS["standard"], surfaces: bool = False
+    ) -> None:
+        self.tube, self.resolution, self.surfaces = tube, resolution, surfaces
+        self.renewals = 0
+        self._kept: Kept | None = None
+
+    def measure(self, positions: Positions, check: bool = True) -> CellGeometry:
+        """Sizes of all cells of the tissue where it is now."""
+        kept, lacks = self._kept, True
+        if kept and len(kept.sides) == len(positions):
+            lacks = check and find_defect(positions, self.tube, kept.sides) >= TILES
+        if lacks or not kept:
+            kept = self._renew(positions)
+        return _measure(positions, kept.placed)
+
+    def _renew(self, positions: Positions) -> Kept:
+        """Find complete lists, see how clear of each cell candidates are, and keep the few that are least."""
+        n, tube = len(positions), self.tube
+        # as wide on both sides as the mean cell at the apical surface: who is that level may change sides
+        margin = math.sqrt(2 * float(tube.apical_radius) * float(tube.length) / n)
+        sides, _ = complete_lists(positions, tube, margin)
+        lines = plan_lines(tube, n, self.resolution, surfaces=self.surfaces)
+        clear = np.asarray(
+            _seeing()(positions, tube, lines, sight_lines(tube, n, self.resolution), sides, mirror(sides))
+        )
+        count = min(shortlist_length(n), sides.shape[2])
+        few = nearest_sides(sides, clear, count)
+        while count < sides.shape[2] and find_defect(positions, tube, few) >= TILES:  # some may need more
+            count = min(2 * count, sides.shape[2])
+            few = nearest_sides(sides, clear, count)
+        self.renewals += 1
+        everywhere = NamedSharding(_mesh(tuple(jax.local_devices())), PartitionSpec())
+        self._kept = Kept(few, jax.device_put((tube, lines, few), everywhere))
+        return self._kept
+
+
+def _measure(positions: Positions, rest: tuple[Tube, Lines, Array | np.ndarray]) -> CellGeometry:
+    """Sizes of all cells, these shared out among the devices of this process."""
+    return _measuring(tuple(jax.local_devices()))(np.asarray(positions), *rest)
+
+
+@functools.cache
+def _measuring(devices: tuple[Any, ...]) -> Callable[..., CellGeometry]:
+    """The program that measures all cells on some devices, an equal share on each."""
+
+    def share(
+        cells: Int[Array, "share"], positions: Array, tube: Tube, lines: Lines, sides: Array
+    ) -> CellGeometry:
+        return measure_cells(positions, tube, lines, sides, cells)[0]
+
+    def whole(positions: Array, tube: Tube, lines: Lines, sides: Array) -> CellGeometry:
+        n, count = len(positions), len(devices)
+        cells = jnp.minimum(jnp.arange(-(-n // count) * count), n - 1)  # the last ones may be one cell
+        one, all_of = PartitionSpec(CELLS), PartitionSpec()
+        specs = (one, *4 * [all_of])
+        shared = jax.shard_map(share, mesh=_mesh(devices), in_specs=specs, out_specs=one, check_vma=False)
+        return jax.tree.map(lambda column: column[:n], shared(cells, positions, tube, lines, sides))
+
+    def alone(*arguments: Any) -> CellGeometry:
+        return measure_cells(*arguments)[0]
+
+    return jax.jit(whole if len(devices) > 1 else alone)
+
+
+@functools.cache
+def _mesh(devices: tuple[Any, ...]) -> Mesh:
+    return jax.make_mesh((len(devices),), (CELLS,), (AxisType.Auto,), devices=devices)
+
+
+@functools.cache
+def _seeing() -> Callable[..., Array]:
+    def see(
+        positions: Array, tube: Tube, lines: Lines, sight: Lines, sides: Array, back: Array
+    ) -> Float[Array, "n 2 candidates"]:
+        """How clear of each cell its candidates are, as shortlists are chosen by."""
+        _, seen = measure_cells(positions, tube, lines, sides)
+        return ranked(clearance(positions, tube, sight, sides), seen.touched, seen.stops, back)
+
+    return jax.jit(see, compiler_options=light_options())

@@ -1,0 +1,94 @@
+"""Whole diagrams: again on kept lists as from scratch, and on several devices as on one."""
+
+import os
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+
+from jaxtissue import PRESETS, Gauge, Resolution, Tube, measure_tissue
+from jaxtissue.candidates import TILES, find_defect
+
+pytestmark = pytest.mark.usefixtures("quickest_compile")
+TUBE = Tube(60.0, 1.0, 8.0)
+CELLS = 180
+SIZES = ("volume", "lateral_area")
+
+
+@pytest.fixture(scope="module")
+def positions() -> np.ndarray:
+    return np.asarray(TUBE.random_positions(jax.random.key(3), CELLS))
+
+
+def off(some, other) -> float:
+    """Largest difference of a size, in the mean cell's."""
+    pairs = [(np.asarray(getattr(some, name)), np.asarray(getattr(other, name))) for name in SIZES]
+    return max(np.abs(a - b).max() / b.mean() for a, b in pairs)
+
+
+def test_surfaces_are_measured_unless_left_out(positions) -> None:
+    whole, defect = measure_tissue(positions, TUBE, PRESETS["draft"])
+    part, again = measure_tissue(positions, TUBE, PRESETS["draft"], surfaces=False)
+    assert off(part, whole) == 0 and defect == again < TILES
+    assert part.apical_area is part.basal_perimeter is None
+    assert float(whole.apical_area.sum()) == pytest.approx(2 * np.pi * 60, rel=2e-3)  # measured 8e-4
+
+
+def test_a_gauge_measures_a_tissue_that_moves_as_from_scratch(positions) -> None:
+    gauge, place, random = Gauge(TUBE, PRESETS["draft"]), positions.copy(), np.random.default_rng(0)
+    for step in range(6):
+        found = gauge.measure(place)
+        expected, _ = measure_tissue(place, TUBE, PRESETS["draft"], surfaces=False)
+        assert off(found, expected) < 2e-5, step  # float32; candidates compared are others
+        place = place + random.normal(scale=0.03, size=place.shape).astype(np.float32)
+        place[:, 0] = place[:, 0].clip(0, 60)
+    assert gauge.renewals < 6  # lists were kept at least once
+
+
+def test_a_gauge_renews_lists_that_no_longer_hold(positions) -> None:
+    gauge = Gauge(TUBE, PRESETS["draft"])
+    gauge.measure(positions)
+    mirrored = np.stack([60 - positions[:, 0], positions[::-1, 1]], axis=1)  # everyone has other neighbors
+    blind = gauge.measure(mirrored, check=False)
+    expected, _ = measure_tissue(mirrored, TUBE, PRESETS["draft"], surfaces=False)
+    assert off(blind, expected) > 0.1 and gauge.renewals == 1
+    assert off(gauge.measure(mirrored), expected) < 2e-5 and gauge.renewals == 2
+    fewer = positions[: CELLS // 2]
+    assert off(gauge.measure(fewer), measure_tissue(fewer, TUBE, PRESETS["draft"])[0]) < 2e-5
+    assert gauge.renewals == 3
+
+
+def test_lists_kept_lack_nobody_where_many_bound_a_cell() -> None:
+    ring = np.stack([np.full(40, 30.0), 2 * np.pi * np.arange(40) / 40], axis=1)
+    lone = np.array([[10.0, 1.0], [50.0, 4.0]])  # each bounded by the whole ring
+    place = np.concatenate([ring, lone]).astype(np.float32)
+    gauge = Gauge(TUBE, Resolution(3, 3))
+    found = gauge.measure(place)
+    assert find_defect(place, TUBE, gauge._kept.sides) < TILES
+    assert off(found, measure_tissue(place, TUBE, Resolution(3, 3))[0]) < 2e-5
+
+
+SCRIPT = """
+import jax, numpy as np, jaxtissue as jt
+tube = jt.Tube(60.0, 1.0, 8.0)
+place = tube.random_positions(jax.random.key(3), 181)  # an odd number, and bound to one device
+cells, _ = jt.measure_tissue(place, tube, jt.PRESETS["draft"])
+kept = jt.Gauge(tube, jt.PRESETS["draft"]).measure(place)
+assert cells.volume.shape == kept.volume.shape == (181,)
+assert len(cells.volume.devices()) == len(jax.devices())
+np.savez({path!r}, *map(np.asarray, jax.tree.leaves((cells, kept))))
+"""
+
+
+def test_cells_shared_out_among_devices_are_those_of_one(tmp_path) -> None:
+    tables = []
+    for devices in (1, 3):
+        path = str(tmp_path / f"{devices}.npz")
+        environment = os.environ | {"JAX_NUM_CPU_DEVICES": str(devices)}
+        subprocess.run([sys.executable, "-c", SCRIPT.format(path=path)], env=environment, check=True)
+        with np.load(path) as file:
+            tables.append([file[name] for name in file.files])
+    for one, three in zip(*tables, strict=True):
+        np.testing.assert_allclose(three, one, rtol=1e-6)
