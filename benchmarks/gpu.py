@@ -20,7 +20,6 @@ import common
 import jax
 import jax.numpy as jnp
 import numpy as np
-from contenders import shortlists
 
 import jaxtissue as jt
 from jaxtissue.anneal import SPAN
@@ -74,7 +73,10 @@ def tissue(cells: int) -> tuple[np.ndarray, jt.Tube]:
 def diagrams(cells: int, peak: float) -> dict[str, Any]:
     """A whole diagram on kept lists: seconds, the fraction of the peak, and the difference to the CPU."""
     place, tube = tissue(cells)
-    near = shortlists(place, tube, jt.find_candidates(place, tube))
+    gauge = jt.Gauge(tube, DRAFT)
+    gauge.measure(place)
+    near = gauge.sides
+    assert near is not None
     lines = jt.plan_lines(tube, cells, DRAFT)
 
     def measure(device: Any) -> tuple[Any, float]:

@@ -14,7 +14,6 @@ import common
 import jax
 import jax.numpy as jnp
 import numpy as np
-from contenders import measure_sizes, shortlists
 from peer import Peer, find_peer
 
 import jaxtissue as jt
@@ -26,17 +25,17 @@ WARM_UP = 2 * SPAN  # sweeps before those timed as typical: in the first, lists 
 SWEEPS = WARM_UP + 4 * SPAN
 
 
-def our_diagram(place: np.ndarray, tube: jt.Tube, size: jt.Resolution, kept: jax.Array) -> dict[str, Any]:
+def our_diagram(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> dict[str, Any]:
     """A diagram on the annealer's lists, kept, and one on complete lists found anew: seconds, and sizes."""
-    positions, seconds, sizes = jnp.asarray(place), [], None
+    seconds, sizes = [], None
     begin = time.perf_counter()
-    sides = jnp.asarray(jt.find_candidates(place, tube))
-    jax.block_until_ready(measure_sizes(positions, tube, jt.plan_lines(tube, len(place), size), sides))
+    jax.block_until_ready(jt.measure_tissue(place, tube, size, surfaces=False))
     scratch = time.perf_counter() - begin
-    lines = jt.plan_lines(tube, len(place), size)
+    gauge = jt.Gauge(tube, size)
+    gauge.measure(place)
     for _ in range(5):
         begin = time.perf_counter()
-        sizes = jax.block_until_ready(measure_sizes(positions, tube, lines, kept))
+        sizes = jax.block_until_ready(gauge.measure(place, check=False))
         seconds.append(time.perf_counter() - begin)
     assert sizes
     row = {"sizes": (sizes.volume, sizes.lateral_area)}
@@ -83,16 +82,15 @@ def race(radius: float, n: int, peer: Peer | None, arguments: Any) -> dict[str, 
     """One configuration: everybody's turn, and that several times over; medians of the seconds."""
     tube = jt.Tube(100.0, radius, 10.0)
     place = np.asarray(tube.random_positions(jax.random.key(0), n))
-    kept = jnp.asarray(shortlists(place, tube, jt.find_candidates(place, tube)))
     sizes = {name: jt.resolution_named(name) for name in arguments.resolutions}
     ours: dict[str, list] = {name: [] for name in arguments.resolutions}
     theirs: dict[tuple[str, int], list] = {rival: [] for rival in product(ALGORITHMS, SAMPLES)}
     for size in sizes.values():  # compiled before the race
-        our_diagram(place, tube, size, kept)
+        our_diagram(place, tube, size)
         our_sweeps(place, tube, size)
     for _ in range(arguments.repeats):
         for name, size in sizes.items():
-            ours[name].append(our_diagram(place, tube, size, kept) | our_sweeps(place, tube, size))
+            ours[name].append(our_diagram(place, tube, size) | our_sweeps(place, tube, size))
         for rival, turns in theirs.items():
             if peer and not (turns and turns[0]["sweep"] > arguments.budget / 4):  # a long one once
                 turns.append(peer_row(peer, place, tube, rival, arguments.budget))

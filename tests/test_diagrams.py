@@ -66,7 +66,7 @@ def test_lists_kept_lack_nobody_where_many_bound_a_cell() -> None:
     place = np.concatenate([ring, lone]).astype(np.float32)
     gauge = Gauge(TUBE, Resolution(3, 3))
     found = gauge.measure(place)
-    assert find_defect(place, TUBE, gauge._kept.sides) < TILES
+    assert find_defect(place, TUBE, gauge.sides) < TILES
     assert off(found, measure_tissue(place, TUBE, Resolution(3, 3))[0]) < 2e-5
 
 

@@ -80,6 +80,11 @@ class Gauge:
             kept = self._renew(positions)
         return _measure(positions, kept.placed)
 
+    @property
+    def sides(self) -> Int[np.ndarray, "n 2 few"] | None:
+        """The candidates kept, behind and ahead of each cell, padded with the cell itself; None before."""
+        return self._kept.sides if self._kept else None
+
     def _renew(self, positions: Positions) -> Kept:
         """Find complete lists, see how clear of each cell candidates are, and keep the few that are least."""
         n, tube = len(positions), self.tube
