@@ -501,5 +501,5 @@ def test_what_is_compiled_is_kept_for_the_next_command(told: bool, tmp_path):
     environment["JAX_COMPILATION_CACHE_DIR"] = str(tmp_path / "told") if told else ""
     run = subprocess.run([*command, "cells.csv"], cwd=tmp_path, env=environment, check=True)
     assert run.returncode == 0
-    kept = {path.relative_to(tmp_path).parts[0] for path in tmp_path.rglob("jit_measure_cells-*")}
+    kept = {path.relative_to(tmp_path).parts[0] for path in tmp_path.rglob("jit_measure_all-*")}
     assert kept == {"told" if told else "user"}

@@ -120,7 +120,7 @@ def _measuring(devices: tuple[Any, ...]) -> Callable[..., CellGeometry]:
     ) -> CellGeometry:
         return measure_cells(positions, tube, lines, sides, cells)[0]
 
-    def whole(positions: Array, tube: Tube, lines: Lines, sides: Array) -> CellGeometry:
+    def measure_shares(positions: Array, tube: Tube, lines: Lines, sides: Array) -> CellGeometry:
         n, count = len(positions), len(devices)
         cells = jnp.minimum(jnp.arange(-(-n // count) * count), n - 1)  # the last ones may be one cell
         one, all_of = PartitionSpec(CELLS), PartitionSpec()
@@ -128,10 +128,10 @@ def _measuring(devices: tuple[Any, ...]) -> Callable[..., CellGeometry]:
         shared = jax.shard_map(share, mesh=_mesh(devices), in_specs=specs, out_specs=one, check_vma=False)
         return jax.tree.map(lambda column: column[:n], shared(cells, positions, tube, lines, sides))
 
-    def alone(*arguments: Any) -> CellGeometry:
+    def measure_all(*arguments: Any) -> CellGeometry:
         return measure_cells(*arguments)[0]
 
-    return jax.jit(whole if len(devices) > 1 else alone)
+    return jax.jit(measure_shares if len(devices) > 1 else measure_all)
 
 
 @functools.cache
