@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import common
@@ -37,6 +37,11 @@ def tissue(case: str) -> tuple[np.ndarray, jt.Tube]:
     return place, jt.Tube(float(known["L"]), float(known["Ra"]), float(known["Rb"]))
 
 
+def from_scratch(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> jt.CellGeometry:
+    """The cells, on lists found anew."""
+    return jt.measure_tissue(place, tube, size, surfaces=False)[0]
+
+
 def diagram(case: str, kind: str, size: Any) -> Callable[[], tuple[Any, Any]]:
     """A function that measures V and A (None where it can't) of every cell; its result may still be pending.
 
@@ -60,23 +65,21 @@ def diagram(case: str, kind: str, size: Any) -> Callable[[], tuple[Any, Any]]:
 
         return count
     size = jt.Resolution(*size)
-    lines, sides = jt.plan_lines(tube, len(place), size), None
     if kind == "complete":
-        sides = jnp.asarray(jt.find_candidates(place, tube))
-    gauge = jt.Gauge(tube, size)
-    if kind in ("kept", "checked"):
+        lines, sides = jt.plan_lines(tube, len(place), size), jnp.asarray(jt.find_candidates(place, tube))
+        measure = partial(measure_sizes, positions, tube, lines, sides)
+    elif kind == "scratch":
+        measure = partial(from_scratch, place, tube, size)
+    else:
+        gauge = jt.Gauge(tube, size)
         gauge.measure(place)
+        measure = partial(gauge.measure, place, check=kind == "checked")
 
-    def measure() -> tuple[Any, Any]:
-        if kind == "complete":
-            cells = measure_sizes(positions, tube, lines, sides)
-        elif kind == "scratch":
-            cells, _ = jt.measure_tissue(place, tube, size, surfaces=False)
-        else:
-            cells = gauge.measure(place, check=kind == "checked")
+    def both() -> tuple[Any, Any]:
+        cells = measure()
         return cells.volume, cells.lateral_area
 
-    return measure
+    return both
 
 
 @cache

@@ -26,7 +26,7 @@ SWEEPS = WARM_UP + 4 * SPAN
 
 
 def our_diagram(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> dict[str, Any]:
-    """A diagram on the annealer's lists, kept, and one on complete lists found anew: seconds, and sizes."""
+    """A diagram on the lists a gauge keeps, and one on complete lists found anew: seconds, and sizes."""
     seconds, sizes = [], None
     begin = time.perf_counter()
     jax.block_until_ready(jt.measure_tissue(place, tube, size, surfaces=False))

@@ -73,7 +73,8 @@ def test_lists_kept_lack_nobody_where_many_bound_a_cell() -> None:
 SCRIPT = """
 import jax, numpy as np, jaxtissue as jt
 tube = jt.Tube(60.0, 1.0, 8.0)
-place = tube.random_positions(jax.random.key(3), 181)  # an odd number, and bound to one device
+place = tube.random_positions(jax.random.key(3), 181)  # not so many for each
+place = jax.device_put(place, jax.devices()[-1])  # and bound to one device
 cells, _ = jt.measure_tissue(place, tube, jt.PRESETS["draft"])
 kept = jt.Gauge(tube, jt.PRESETS["draft"]).measure(place)
 assert cells.volume.shape == kept.volume.shape == (181,)

@@ -217,7 +217,9 @@ class Annealer:
                 tiling_defect, (positions, tube, sides), seldom=True, meanwhile=partial(mirror, sides)
             )
             if self._last is None:
-                for ahead in self._expected(state, sides, [] if has_all else [check]):
+                if not has_all:  # first, as it is the first that is asked for
+                    yield from self._ask(Ahead(check.function, check.arguments, check.seldom))
+                for ahead in self._expected(state, sides):
                     yield from self._ask(ahead)
             if has_all:
                 return sides, mirror(sides)
@@ -227,13 +229,9 @@ class Annealer:
                 return sides, answer.meanwhile
         raise AssertionError("lists that have all are complete")
 
-    def _expected(
-        self, state: AnnealState, sides: Int[np.ndarray, "n 2 candidates"], soon: Sequence[Request]
-    ) -> Iterator[Ahead]:
-        """What will be asked for: `soon`, then what sees the tissue and, with lists and rounds as wide as
-        they are likely to be, what plays sweeps."""
-        for request in soon:
-            yield Ahead(request.function, request.arguments, request.seldom)
+    def _expected(self, state: AnnealState, sides: Int[np.ndarray, "n 2 candidates"]) -> Iterator[Ahead]:
+        """What will be asked for on such lists: what plays sweeps, with lists and rounds as wide as they are
+        likely to be, what sees the tissue, and energies."""
         n, dtype, lines = len(state.positions), state.positions.dtype, self._plan(len(state.positions))[0]
         plays = state.sweep < len(self.temperatures)
         if plays and (self.algorithm == "mh" or self.conflicts in ("near", "2-hop")):  # rounds are few
