@@ -1,8 +1,10 @@
 """The reference tubes and the two precisions, for all tests."""
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,7 @@ import pytest
 from hypothesis import settings
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
-from jaxtissue.programs import PROGRAMS
+from jaxtissue.programs import PROGRAMS, Request, Task
 from jaxtissue.tube import Tube
 
 DATA = Path(__file__).parent / "data"
@@ -114,3 +116,8 @@ def dtype(request):
     """Both precisions in turn, with 64-bit arrays switched on for the second."""
     with jax.enable_x64(request.param == jnp.float64):
         yield request.param
+
+
+def ask(function: Callable[..., Any], *arguments: Any) -> Task[Any]:
+    """The task that makes one request and returns its result."""
+    return (yield Request(function, arguments)).result

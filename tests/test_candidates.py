@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtissue.anneal import MARGIN
 from jaxtissue.candidates import (
     NEAREST,
     contact_graph,
@@ -36,6 +35,7 @@ from jaxtissue.shortlists import (
     sight_lines,
 )
 from jaxtissue.spans import look
+from jaxtissue.surveys import MARGIN
 from jaxtissue.tube import Tube
 from jaxtissue.views import LEVEL
 

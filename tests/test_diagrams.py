@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import warnings
 
 import jax
 import numpy as np
@@ -68,6 +69,27 @@ def test_lists_kept_lack_nobody_where_many_bound_a_cell() -> None:
     found = gauge.measure(place)
     assert find_defect(place, TUBE, gauge.sides) < TILES
     assert off(found, measure_tissue(place, TUBE, Resolution(3, 3))[0]) < 2e-5
+
+
+def test_volumes_that_do_not_add_up_are_told(positions) -> None:
+    tube, angles = Tube(60.0, 1.0, 8.0), np.random.default_rng(0).uniform(0, 2 * np.pi, 200)
+    level = np.stack([np.full(200, 30.0), angles], axis=1).astype(np.float32)
+    with pytest.warns(UserWarning, match=r"add up to 1\.\d+ of the tube's"):  # measured 1.44
+        measure_tissue(level, tube, PRESETS["draft"], surfaces=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        measure_tissue(positions, TUBE, PRESETS["draft"])
+
+
+@pytest.mark.parametrize("bad", [[np.nan, 1.0], [10.0, np.inf], [60.1, 1.0], [-0.1, 1.0]])
+def test_positions_that_are_none_are_named(bad: list[float], positions) -> None:
+    place = positions.copy()
+    gauge = Gauge(TUBE, PRESETS["draft"])
+    gauge.measure(place)
+    place[7] = bad
+    for measure in (gauge.measure, lambda place: measure_tissue(place, TUBE, PRESETS["draft"])):
+        with pytest.raises(ValueError, match="backbone 7 at"):
+            measure(place)
 
 
 SCRIPT = """

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import ask
 from scipy import stats
 
 from jaxtissue.anneal import SPAN, Annealer
@@ -13,7 +14,7 @@ from jaxtissue.coloring import color, hop_conflicts
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import PRESETS
 from jaxtissue.metropolis import draw, move_bound, propose
-from jaxtissue.programs import PROGRAMS, ask, run_together
+from jaxtissue.programs import PROGRAMS, run_together
 from jaxtissue.records import shortlisted
 from jaxtissue.rounds import CAPACITY, padded_orders
 from jaxtissue.schedules import constant_schedule
@@ -33,7 +34,7 @@ class Bench:
         self.annealer = Annealer(tube_model(TUBE, CELLS), PRESET, "is-mh", 5, constant_schedule(2.0, 20))
         self.start = self.annealer.start(TUBE.random_positions(jax.random.key(1), CELLS))
         measured, plan = run_together([self.annealer._measure(self.start), self.annealer._rounds(self.start)])
-        self.lines, _ = self.annealer._plan(CELLS)
+        self.lines = self.annealer._lines(self.start)
         self.near = shortlisted(measured.sides, measured.clear, 0)
         self.tissue = measured.tissue
         self.width = plan[0].shape[1]  # so that all share the run's program

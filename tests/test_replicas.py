@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import ask
 
 from jaxtissue import anneal, programs, shortlists
 from jaxtissue.anneal import Annealer, advance_together, record_together
 from jaxtissue.energy import Model, tube_model
 from jaxtissue.lines import PRESETS
-from jaxtissue.programs import PROGRAMS, Ahead, Request, ask, run_together
+from jaxtissue.programs import PROGRAMS, Ahead, Request, run_together
 from jaxtissue.tube import Tube
 
 pytestmark = pytest.mark.usefixtures("quick_compile")

@@ -10,23 +10,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxtissue.candidates import TILES, candidate_lists, tiling_defect
 from jaxtissue.cells import CellGeometry
 from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.coloring import CONFLICTS
 from jaxtissue.energy import Model
-from jaxtissue.lines import Lines, Resolution, plan_lines
-from jaxtissue.metropolis import draw, move_bound
-from jaxtissue.programs import Ahead, Request, Task, run_together
+from jaxtissue.lines import Lines, Resolution
+from jaxtissue.metropolis import draw
+from jaxtissue.programs import Ahead, Asker, Request, Task, run_together
 from jaxtissue.records import Measured, SweepRecord, least_around, shortlisted, sweep_record
 from jaxtissue.rounds import independent_rounds, one_by_one, padded_orders, round_width
-from jaxtissue.shortlists import find_unlisted, list_first, mirror, shortlist_length, sight_lines
-from jaxtissue.spans import Trail, energy_terms, fit_play, look, play
+from jaxtissue.shortlists import find_unlisted, list_first, shortlist_length
+from jaxtissue.spans import Trail, energy_terms, fit_play, play
+from jaxtissue.surveys import Surveyor
 from jaxtissue.views import Posts
 
 ALGORITHMS = ("is-mh", "mh")
 SPAN = 10  # the most sweeps between renewals of lists and rounds
-MARGIN = 1 / 6  # longest moves, for each candidate on a side, by which one may lie on the other side
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
 Plan = Sequence[Int[np.ndarray, "rounds width"]]  # the rounds of some sweeps
 Span = tuple["AnnealState", list[SweepRecord], Float[np.ndarray, "sweeps n 2"]]
@@ -78,9 +77,13 @@ class Annealer:
         self.resolution, self.algorithm, self.conflicts = resolution, algorithm, conflicts
         self.seed, self.temperatures = seed, temperatures
         self._exactness = EXACT * float(jnp.finfo(dtype).eps) * float(self.model.mean_volume)
-        self.compile_seconds = 0.0
-        self._last: tuple[AnnealState, Measured] | None = None
-        self._lines: dict[int, tuple[Lines, Lines]] = {}  # for each number of cells
+        self._asker = Asker()
+        self._surveyor = Surveyor(self.model, resolution, self._asker)
+
+    @property
+    def compile_seconds(self) -> float:
+        """How long this traced or waited for programs."""
+        return self._asker.compile_seconds
 
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
         """The state before the first sweep."""
@@ -138,7 +141,7 @@ class Annealer:
             if not list_first(missing, sides, clear):
                 if sweeps == 1 and len(plan[0]) == 1:
                     break
-                self._last = state, measured
+                self._surveyor.keep(state.positions, measured)
                 return (yield from self._play_halves(state, plan, sweeps))
         carried = np.stack([trail.volume[-1:], trail.lateral_area[-1:]])
         if np.abs(fresh.sizes - carried).max() <= self._exactness / 100:
@@ -158,10 +161,10 @@ class Annealer:
         temperatures[:sweeps] = self.temperatures[state.sweep : state.sweep + sweeps]
         for k in range(sweeps):
             draws[k] = draw(self.seed, state.sweep + k, n, dtype)
-        arguments = (draws, measured.tissue, self.model, temperatures, near, orders, self._plan(n)[0])
+        arguments = (draws, measured.tissue, self.model, temperatures, near, orders, self._lines(state))
         needs = near.around.shape[1], orders.rounds.shape[1]
-        _, trail = yield from self._ask(Request(play, arguments, needs, fit_play))
-        trail = jax.tree.map(lambda leaf: leaf[:sweeps], trail)
+        answer = yield from self._asker.ask(Request(play, arguments, needs, fit_play))
+        trail = jax.tree.map(lambda leaf: leaf[:sweeps], answer.result[1])
         widths = measured.sides.shape[2], near.around.shape[1]
         return AnnealState(state.sweep + sweeps, trail.positions[-1], widths), trail
 
@@ -188,53 +191,17 @@ class Annealer:
         info = jax.tree.map(lambda a, b: a + b, first.info, second.info)
         return after, second._replace(info=info), max(drift, more)
 
-    def _plan(self, cells: int) -> tuple[Lines, Lines]:
-        """The lines on which cells are measured, and those on which it is seen how clear candidates are."""
-        if cells not in self._lines:
-            tube = self.model.tube
-            self._lines[cells] = (
-                plan_lines(tube, cells, self.resolution),
-                sight_lines(tube, cells, self.resolution),
-            )
-        return self._lines[cells]
-
     def _measure(self, state: AnnealState) -> Task[Measured]:
-        """Measure the whole tissue on complete lists; the last result is kept."""
-        if self._last and self._last[0].positions is state.positions:
-            return self._last[1]
-        sides, back = yield from self._find(state)
-        # lists are not padded to those of others: their width sets how finely `stop` compares
-        tissue, clear = yield from self._ask(Request(look, self._looked_at(state, sides, back), seldom=True))
-        self._last = state, Measured(tissue, sides, clear)
-        return self._last[1]
-
-    def _find(self, state: AnnealState) -> Task[tuple[np.ndarray, np.ndarray]]:
-        """Complete candidate lists, at least as wide as before, and their `mirror`."""
-        positions, tube, n = state.positions, self.model.tube, len(state.positions)
-        margin = MARGIN * shortlist_length(n) * float(move_bound(self.model, n))
-        for sides, has_all in candidate_lists(positions, tube, margin, state.widths[0]):
-            check = Request(
-                tiling_defect, (positions, tube, sides), seldom=True, meanwhile=partial(mirror, sides)
-            )
-            if self._last is None:
-                if not has_all:  # first, as it is the first that is asked for
-                    yield from self._ask(Ahead(check.function, check.arguments, check.seldom))
-                for ahead in self._expected(state, sides):
-                    yield from self._ask(ahead)
-            if has_all:
-                return sides, mirror(sides)
-            answer = yield check
-            self.compile_seconds += answer.compile_seconds
-            if answer.result < TILES:
-                return sides, answer.meanwhile
-        raise AssertionError("lists that have all are complete")
+        """Measure the whole tissue on complete lists, at least as wide as before."""
+        return self._surveyor.measure(state.positions, state.widths[0], partial(self._expected, state))
 
     def _expected(self, state: AnnealState, sides: Int[np.ndarray, "n 2 candidates"]) -> Iterator[Ahead]:
         """What will be asked for on such lists: what plays sweeps, with lists and rounds as wide as they are
-        likely to be, what sees the tissue, and energies."""
-        n, dtype, lines = len(state.positions), state.positions.dtype, self._plan(len(state.positions))[0]
-        plays = state.sweep < len(self.temperatures)
-        if plays and (self.algorithm == "mh" or self.conflicts in ("near", "2-hop")):  # rounds are few
+        likely to be, and energies."""
+        n, dtype, lines = len(state.positions), state.positions.dtype, self._lines(state)
+        if state.sweep == len(self.temperatures):
+            return
+        if self.algorithm == "mh" or self.conflicts in ("near", "2-hop"):  # rounds are few
             blank: Any = np.zeros(n, dtype)
             reach: Any = np.zeros((n, 2, lines.row), dtype)
             tissue = TissueState(Posts(blank, blank, blank, blank), blank, blank, reach, blank > 0)
@@ -244,14 +211,12 @@ class Annealer:
             orders, temperatures = padded_orders([rounds], SPAN, near), np.zeros(SPAN, dtype)
             draws = np.zeros((SPAN, 3, n), dtype)
             yield Ahead(play, (draws, tissue, self.model, temperatures, near, orders, lines))
-        yield Ahead(look, self._looked_at(state, sides, sides), seldom=True)
-        if plays:
-            table: Any = np.zeros((SPAN, n), dtype)
-            yield Ahead(energy_terms, (CellGeometry(table, table), self.model), seldom=True)
+        table: Any = np.zeros((SPAN, n), dtype)
+        yield Ahead(energy_terms, (CellGeometry(table, table), self.model), seldom=True)
 
-    def _looked_at(self, state: AnnealState, sides: np.ndarray, back: np.ndarray) -> tuple:
-        """The arguments of `look`."""
-        return state.positions, self.model, self._plan(len(state.positions)), sides, back
+    def _lines(self, state: AnnealState) -> Lines:
+        """The lines on which cells are measured."""
+        return self._surveyor.lines(len(state.positions))[0]
 
     def _rounds(self, state: AnnealState) -> Task[Plan]:
         """For each sweep of a span the order of its moves: one by one, or in independent sets."""
@@ -260,16 +225,11 @@ class Annealer:
         measured = yield from self._measure(state)
         return SPAN * [independent_rounds(self.conflicts, state.positions, self.model, measured.contacts)]
 
-    def _ask(self, request: Request | Ahead) -> Task[Any]:
-        """What a program gives; the time it took to compile is noted."""
-        answer = yield request
-        self.compile_seconds += answer.compile_seconds
-        return answer.result
-
     def _energies(self, sizes: Float[np.ndarray, "2 sweeps n"]) -> Task[Float[np.ndarray, "3 sweeps"]]:
         """Energy and the paper's two terms of it after each sweep, summed in double precision."""
-        terms = yield from self._ask(Request(energy_terms, (CellGeometry(*sizes), self.model), seldom=True))
-        return np.array([np.sum(term, axis=1, dtype=float) for term in terms])
+        request = Request(energy_terms, (CellGeometry(*sizes), self.model), seldom=True)
+        answer = yield from self._asker.ask(request)
+        return np.array([np.sum(term, axis=1, dtype=float) for term in answer.result])
 
 
 def advance_together(

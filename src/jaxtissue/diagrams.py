@@ -2,6 +2,7 @@
 
 import functools
 import math
+import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -15,11 +16,19 @@ from jaxtissue.candidates import TILES, complete_lists, find_defect
 from jaxtissue.cells import CellGeometry, measure_cells
 from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines
 from jaxtissue.lowering import light_options
-from jaxtissue.shortlists import clearance, mirror, nearest_sides, ranked, shortlist_length, sight_lines
+from jaxtissue.shortlists import (
+    STOPS,
+    mirror,
+    nearest_sides,
+    see,
+    shortlist_length,
+    sight_lines,
+)
 from jaxtissue.tube import Tube
 
 Positions = Float[Array | np.ndarray, "n 2"]
 CELLS = "cells"
+UNFILLED = 0.02  # of the tube, by which volumes may differ in sum; `draft` differs by 0.5 % at most elsewhere
 
 
 def measure_tissue(
@@ -34,10 +43,23 @@ def measure_tissue(
     rounding unless a candidate list overflowed. Lists are grown until nothing overflows, so this takes
     concrete arrays; inside `jit` call `measure_cells`. Positions as (axial, angle), [n, 2]. Without
     `surfaces`, areas and perimeters on them are left out.
+
+    Raises `ValueError` for positions that are not finite or outside the tube. Warns where the volumes do not
+    add up to the tube's: then some cells are narrower than lines are apart, as those of many backbones that
+    stand almost level.
     """
+    tube.require_inside(positions)
     sides, defect = complete_lists(positions, tube)
     lines = plan_lines(tube, len(positions), resolution, surfaces=surfaces)
-    return _measure(positions, jax.tree.map(np.asarray, (tube, lines, sides))), defect
+    cells = _measure(positions, jax.tree.map(np.asarray, (tube, lines, sides)))
+    filled = float(np.asarray(cells.volume, float).sum()) / float(tube.volume)
+    if abs(filled - 1) > UNFILLED:
+        message = (
+            f"the cells' volumes add up to {filled:.3f} of the tube's: some cells are narrower than lines are"
+            f" apart at {resolution.layers}x{resolution.density:g}; measure more finely"
+        )
+        warnings.warn(message, stacklevel=2)
+    return cells, defect
 
 
 class Kept(NamedTuple):
@@ -72,7 +94,11 @@ class Gauge:
         self._kept: Kept | None = None
 
     def measure(self, positions: Positions, check: bool = True) -> CellGeometry:
-        """Sizes of all cells of the tissue where it is now."""
+        """Sizes of all cells of the tissue where it is now.
+
+        Raises `ValueError` for positions that are not finite or outside the tube.
+        """
+        self.tube.require_inside(positions)
         kept, lacks = self._kept, True
         if kept and len(kept.sides) == len(positions):
             lacks = check and find_defect(positions, self.tube, kept.sides) >= TILES
@@ -92,10 +118,12 @@ class Gauge:
         margin = math.sqrt(2 * float(tube.apical_radius) * float(tube.length) / n)
         sides, _ = complete_lists(positions, tube, margin)
         lines = plan_lines(tube, n, self.resolution, surfaces=self.surfaces)
-        clear = np.asarray(
-            _seeing()(positions, tube, lines, sight_lines(tube, n, self.resolution), sides, mirror(sides))
-        )
-        count = min(shortlist_length(n), sides.shape[2])
+        looked_at = lines, sight_lines(tube, n, self.resolution)
+        clear = np.asarray(_seeing()(positions, tube, looked_at, sides, mirror(sides))[1])
+        bounding = int(
+            (clear <= STOPS).sum(axis=2).max()
+        )  # on the lines: the check's might not see all these
+        count = min(max(shortlist_length(n), bounding), sides.shape[2])
         few = nearest_sides(sides, clear, count)
         while count < sides.shape[2] and find_defect(positions, tube, few) >= TILES:  # some may need more
             count = min(2 * count, sides.shape[2])
@@ -140,12 +168,5 @@ def _mesh(devices: tuple[Any, ...]) -> Mesh:
 
 
 @functools.cache
-def _seeing() -> Callable[..., Array]:
-    def see(
-        positions: Array, tube: Tube, lines: Lines, sight: Lines, sides: Array, back: Array
-    ) -> Float[Array, "n 2 candidates"]:
-        """How clear of each cell its candidates are, as shortlists are chosen by."""
-        _, seen = measure_cells(positions, tube, lines, sides)
-        return ranked(clearance(positions, tube, sight, sides), seen.touched, seen.stops, back)
-
+def _seeing() -> Callable[..., tuple[Any, Array]]:
     return jax.jit(see, compiler_options=light_options())

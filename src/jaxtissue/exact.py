@@ -86,6 +86,7 @@ def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDia
     if samples < 2:
         raise ValueError(f"samples = {samples}: a backbone needs its two ends, give samples >= 2")
     half, apical, basal = float(tube.length) / 2, float(tube.apical_radius), float(tube.basal_radius)
+    tube.require_inside(positions)
     backbones = _backbones(positions, half, apical, basal)
     facets = _dual_facets(backbones, half, samples)
     inner, outer = _Clip(apical, half), _Clip(basal, half)
@@ -109,11 +110,7 @@ def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDia
 
 def _backbones(positions: ArrayLike, half: float, apical: float, basal: float) -> _Backbones:
     positions = np.asarray(positions, dtype=np.float64)
-    if positions.ndim != 2 or positions.shape[1] != 2 or not len(positions):
-        raise ValueError(f"positions of shape {positions.shape}: give (axial, angle) rows, [n, 2], n >= 1")
     axial, angle = positions.T
-    for i in np.flatnonzero(~np.isfinite(angle) | ~(np.abs(axial - half) <= half)):
-        raise ValueError(f"backbone {i} at {positions[i]}: give 0 <= axial <= {2 * half}, a finite angle")
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     ends = np.concatenate([axial[:, None], apical * direction], axis=1)
     closest = 1e-9 * max(half, basal)  # below, Qhull merges them

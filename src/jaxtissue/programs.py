@@ -62,6 +62,19 @@ class Answer(NamedTuple):
 Task = Generator[Request | Ahead, Answer, T]
 
 
+class Asker:
+    """Asks for what a task needs, and adds up how long it traced or waited for programs."""
+
+    def __init__(self) -> None:
+        self.compile_seconds = 0.0
+
+    def ask(self, step: Request | Ahead) -> Task[Answer]:
+        """The answer to one request."""
+        answer = yield step
+        self.compile_seconds += answer.compile_seconds
+        return answer
+
+
 def keep_compiled() -> None:
     """Keep what is compiled in the user's cache folder, for the next process.
 
@@ -110,11 +123,6 @@ def run_together(tasks: Sequence[Task[T]], slots: int = 0) -> list[T]:
             some = [asked[number] for number in numbers]
             answers |= zip(numbers, _run_alike(some, slots, devices), strict=True)
     return [ends[number] for number in range(len(tasks))]
-
-
-def ask(function: Callable[..., Any], *arguments: Any) -> Task[Any]:
-    """The task that makes one request and returns its result."""
-    return (yield Request(function, arguments)).result
 
 
 def _fitted(request: Request, sizes: tuple[int, ...]) -> tuple:

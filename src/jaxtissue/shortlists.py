@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy import sparse
 
 from jaxtissue.candidates import least, linked, padded
-from jaxtissue.cells import BLOCK
+from jaxtissue.cells import BLOCK, Survey, measure_cells
 from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.lowering import larger, settled, smaller, taken
 from jaxtissue.tube import Tube
@@ -136,6 +136,21 @@ def ranked(
     orders err on one side; below them all the flags."""
     clear = jnp.where(touched | stops, STOPS, clear)
     return jnp.where(touched, TOUCHES, jnp.minimum(clear, clear.reshape(-1)[back]))
+
+
+def see(
+    positions: Float[Array, "n 2"],
+    tube: Tube,
+    lines: tuple[Lines, Lines],
+    sides: Int[Array, "n 2 candidates"],
+    back: Int[Array, "n 2 candidates"],
+) -> tuple[Survey, Float[Array, "n 2 candidates"]]:
+    """Measure a whole tissue, and on `sight_lines` how clear of each cell its candidates are.
+
+    `back` is the `mirror` of `sides`.
+    """
+    _, seen = measure_cells(positions, tube, lines[0], sides)
+    return seen, ranked(clearance(positions, tube, lines[1], sides), seen.touched, seen.stops, back)
 
 
 def around(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n around"]:

@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxtissue.candidates import padded
-from jaxtissue.cells import CellGeometry, measure_cells
+from jaxtissue.cells import CellGeometry
 from jaxtissue.changes import Neighborhoods, TissueState, tissue_state
 from jaxtissue.energy import Model, lateral_tension, volume_elasticity
 from jaxtissue.lines import Lines
 from jaxtissue.metropolis import Order, SweepInfo, sweep
-from jaxtissue.shortlists import clearance, ranked
+from jaxtissue.shortlists import see
 
 
 class Trail(NamedTuple):
@@ -32,13 +32,9 @@ def look(
     sides: Int[Array, "n 2 candidates"],
     back: Int[Array, "n 2 candidates"],
 ) -> tuple[TissueState, Float[Array, "n 2 candidates"]]:
-    """Measure a whole tissue, and on other lines how clear of each cell its candidates are.
-
-    `back` is the `mirror` of `sides`.
-    """
-    _, seen = measure_cells(positions, model.tube, lines[0], sides)
-    clear = clearance(positions, model.tube, lines[1], sides)
-    return tissue_state(positions, seen), ranked(clear, seen.touched, seen.stops, back)
+    """The state of a whole tissue, and how clear of each cell its candidates are: as `see` tells."""
+    seen, clear = see(positions, model.tube, lines, sides, back)
+    return tissue_state(positions, seen), clear
 
 
 def play(

@@ -8,8 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
+from numpy.typing import ArrayLike
 
 from jaxtissue.backbones import Backbones
+
+ROUNDING = 1e-6  # relative, of single precision
 
 
 def _plain(size: float | Array) -> float | Array:
@@ -75,6 +78,23 @@ class Tube(eqx.Module):
         apical = jnp.stack([axial, self.apical_radius * cosine, self.apical_radius * sine], axis=-1)
         basal = jnp.stack([axial, self.basal_radius * cosine, self.basal_radius * sine], axis=-1)
         return Backbones(apical, basal)
+
+    def require_inside(self, positions: ArrayLike) -> None:
+        """Raises `ValueError` for positions that are not (axial, angle) rows, finite and within the tube.
+
+        By a rounding of single precision they may stand outside.
+
+        >>> Tube(10, 1, 2).require_inside([[5.0, 0.0], [10.5, 0.0]])
+        Traceback (most recent call last):
+        ValueError: backbone 1 at [10.5  0. ]: give 0 <= axial <= 10.0, a finite angle
+        """
+        place = np.asarray(positions, float)
+        if place.ndim != 2 or place.shape[1] != 2 or not len(place):
+            raise ValueError(f"positions of shape {place.shape}: give (axial, angle) rows, [n, 2], n >= 1")
+        half, (axial, angle) = float(self.length) / 2, place.T
+        inside = np.isfinite(angle) & (np.abs(axial - half) <= half * (1 + ROUNDING))
+        for i in np.flatnonzero(~inside):
+            raise ValueError(f"backbone {i} at {place[i]}: give 0 <= axial <= {2 * half}, a finite angle")
 
     def reflect(self, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
         """The positions brought back to 0 <= axial <= L by reflection at the ends, and 0 <= angle < 2 pi.

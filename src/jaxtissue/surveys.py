@@ -1,0 +1,83 @@
+"""A tissue measured between sweeps, on complete candidate lists, and how clear of each cell these are."""
+
+from collections.abc import Callable, Iterable
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxtissue.candidates import TILES, candidate_lists, tiling_defect
+from jaxtissue.energy import Model
+from jaxtissue.lines import Lines, Resolution, plan_lines
+from jaxtissue.metropolis import move_bound
+from jaxtissue.programs import Ahead, Asker, Request, Task
+from jaxtissue.records import Measured
+from jaxtissue.shortlists import mirror, shortlist_length, sight_lines
+from jaxtissue.spans import look
+
+MARGIN = 1 / 6  # longest moves, for each candidate on a side, by which one may lie on the other side
+Positions = Float[np.ndarray, "n 2"]
+Sides = Int[np.ndarray, "n 2 candidates"]
+Expected = Callable[[Sides], Iterable[Ahead]]
+
+
+class Surveyor:
+    """Measures the tissue of one replica; the last result is kept."""
+
+    def __init__(self, model: Model, resolution: Resolution, asker: Asker) -> None:
+        self._model, self._resolution, self._asker = model, resolution, asker
+        self._last: tuple[Positions, Measured] | None = None
+        self._lines: dict[int, tuple[Lines, Lines]] = {}  # for each number of cells
+
+    def lines(self, cells: int) -> tuple[Lines, Lines]:
+        """The lines on which cells are measured, and those on which it is seen how clear candidates are."""
+        if cells not in self._lines:
+            tube = self._model.tube
+            self._lines[cells] = (
+                plan_lines(tube, cells, self._resolution),
+                sight_lines(tube, cells, self._resolution),
+            )
+        return self._lines[cells]
+
+    def measure(self, positions: Positions, width: int, expected: Expected) -> Task[Measured]:
+        """Measure the whole tissue, on lists of at least `width` a side.
+
+        The first time, what is `expected` to be asked for on such lists is compiled meanwhile.
+        """
+        if self._last and self._last[0] is positions:
+            return self._last[1]
+        sides, back = yield from self._find(positions, width, expected)
+        # lists are not padded to those of others: their width sets how finely `stop` compares
+        request = Request(look, self._looked_at(positions, sides, back), seldom=True)
+        answer = yield from self._asker.ask(request)
+        tissue, clear = answer.result
+        self.keep(positions, Measured(tissue, sides, clear))
+        return Measured(tissue, sides, clear)
+
+    def keep(self, positions: Positions, measured: Measured) -> None:
+        """Keep a result known from before as the last."""
+        self._last = positions, measured
+
+    def _find(self, positions: Positions, width: int, expected: Expected) -> Task[tuple[Sides, Sides]]:
+        """Complete candidate lists, and their `mirror`."""
+        tube, n, ask = self._model.tube, len(positions), self._asker.ask
+        margin = MARGIN * shortlist_length(n) * float(move_bound(self._model, n))
+        for sides, has_all in candidate_lists(positions, tube, margin, width):
+            call = positions, tube, sides
+            if self._last is None:
+                if not has_all:  # first, as it is the first that is asked for
+                    yield from ask(Ahead(tiling_defect, call, seldom=True))
+                for ahead in expected(sides):
+                    yield from ask(ahead)
+                yield from ask(Ahead(look, self._looked_at(positions, sides, sides), seldom=True))
+            if has_all:
+                return sides, mirror(sides)
+            check = Request(tiling_defect, call, seldom=True, meanwhile=partial(mirror, sides))
+            answer = yield from ask(check)
+            if answer.result < TILES:
+                return sides, answer.meanwhile
+        raise AssertionError("lists that have all are complete")
+
+    def _looked_at(self, positions: Positions, sides: Sides, back: Sides) -> tuple:
+        """The arguments of `look`."""
+        return positions, self._model, self.lines(len(positions)), sides, back
