@@ -2,6 +2,9 @@
 
 import argparse
 import json
+import os
+import platform
+import re
 import resource
 import subprocess
 from pathlib import Path
@@ -42,8 +45,19 @@ def write(path: Path, results: dict[str, Any]) -> None:
         ["git", "rev-parse", "HEAD"], cwd=HERE, capture_output=True, text=True, check=False
     ).stdout.strip()
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(provenance() | {"commit": commit} | results, indent=1) + "\n")
+    made_by = provenance() | {"processor": processor(), "commit": commit}
+    path.write_text(json.dumps(made_by | results, indent=1) + "\n")
     print(f"wrote {path}")
+
+
+def processor() -> str:
+    """Its name, widest vectors and number of cores, as far as the system tells: times depend on these."""
+    info = Path("/proc/cpuinfo")
+    told = info.read_text() if info.is_file() else ""
+    name = re.search(r"^model name\s*: (.*)", told, re.MULTILINE)
+    vectors = next((kind for kind in ("avx512f", "avx2", "avx") if re.search(rf"\b{kind}\b", told)), "")
+    parts = (name[1] if name else platform.processor(), vectors, f"{os.cpu_count()} cores")
+    return ", ".join(filter(None, parts))
 
 
 def rms(measured: Any, exact: np.ndarray) -> float:
