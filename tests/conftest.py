@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,15 @@ def keep_compiled(tmp_path_factory, worker_id):
         yield
 
 
+def forget_programs() -> None:
+    """Forget what is compiled, once nothing is being compiled: under the options of another module it would
+    be kept as if it were of these."""
+    for program in PROGRAMS.values():
+        if isinstance(program, Future):
+            program.exception()
+    PROGRAMS.clear()
+
+
 @pytest.fixture(scope="module")
 def quick_compile():
     """Compile without optimization, here and in processes started: few cells for few sweeps.
@@ -53,16 +63,17 @@ def quick_compile():
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+        forget_programs()
         jax.config.update("jax_disable_most_optimizations", True)
-        PROGRAMS.clear()
         yield
-        PROGRAMS.clear()
+        forget_programs()
         jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture(scope="module")
 def quickest_compile(quick_compile):
     """The same and QUICK, where replicas need not be the same to the bit as alone."""
+    jnp.zeros(1).block_until_ready()  # this process reads XLA_FLAGS once: before they are set for others
     compile_as_told = jax.stages.Lowered.compile
     flags = [f"--{name}={str(value).lower()}" for name, value in QUICK.items()]
 

@@ -27,11 +27,12 @@ from jaxtissue.shortlists import (
     STOPS,
     TOUCHES,
     around,
+    beyond_level,
     find_unlisted,
+    from_both,
     list_first,
     mirror,
     nearest_sides,
-    ranked,
     sight_lines,
 )
 from jaxtissue.spans import look
@@ -53,8 +54,9 @@ def tissue():
     sides = find_candidates(positions, TUBE, MARGIN * CANDIDATES * BOUND)
     lines = plan_lines(TUBE, CELLS, PRESETS["draft"]), sight_lines(TUBE, CELLS, PRESETS["draft"])
     _, seen = jax.jit(measure_cells)(positions, TUBE, lines[0], sides)
-    _, clear = jax.jit(look)(positions, tube_model(TUBE, CELLS), lines, sides, mirror(sides))
-    return positions, sides, np.asarray(seen.touched), np.asarray(clear), contact_graph(sides, seen.touched)
+    _, clear = jax.jit(look)(positions, tube_model(TUBE, CELLS), lines, sides)
+    clear = from_both(np.asarray(clear), mirror(sides))
+    return positions, sides, np.asarray(seen.touched), clear, contact_graph(sides, seen.touched)
 
 
 def listed(lists: np.ndarray) -> np.ndarray:
@@ -188,16 +190,25 @@ def test_both_views_of_a_pair_count(tissue) -> None:
     assert (there[found] % 2 != row[found] % 2).all()
     assert (lists[there[found], where[found]] == row[found] // 2).all()
     clear = np.random.default_rng(0).uniform(1, 2, sides.shape).astype(np.float32)
-    touched = np.zeros(clear.shape, bool)
     first = np.unravel_index(np.flatnonzero(found)[0], sides.shape)
     other = np.unravel_index(back[first], sides.shape)
-    touched[first] = True
-    rank = np.array(ranked(clear, touched, touched & False, back))
+    clear[first] = TOUCHES
+    rank = from_both(clear, back)
     # whom it touches is touched by it, as far as ranks go, but not seen to be
     assert rank[first] == TOUCHES and rank[other] == np.float32(STOPS)
     expected = np.minimum(clear, clear.reshape(-1)[back])
     expected[first], expected[other] = rank[first], rank[other]
     np.testing.assert_array_equal(rank, expected)
+
+
+def test_who_stops_a_cell_may_do_so_from_the_other_side() -> None:
+    sides = np.array([[[1, 2, 3], [2, 1, 0]]])  # of cell 0: 1 and 2 on both, 3 far behind
+    clear = np.array([[[TOUCHES, STOPS, TOUCHES], [9.0, 0.01, np.inf]]], np.float32)
+    axial = np.array([5.0, 4.5, 5.25, 2.0])
+    found = beyond_level(clear, sides, axial, soon=1.0)
+    # 1 touches it half a unit behind it, but is less clear ahead by itself; 2 is a quarter ahead already
+    np.testing.assert_allclose(found, [[[TOUCHES, STOPS, TOUCHES], [0.0625, 0.01, np.inf]]])
+    np.testing.assert_array_equal(beyond_level(clear, sides, axial, soon=0.1), clear)
 
 
 def test_few_candidates_do_for_a_while(tissue) -> None:

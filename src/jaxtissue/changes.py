@@ -104,7 +104,7 @@ def find_changed(
         is_ahead = is_ahead.reshape(-1, 1)
         return meets - SLACK * jnp.abs(meets) <= jnp.where(is_ahead, reach[:, 1], reach[:, 0])
 
-    touched = jnp.where(undercuts(*now[:2]) | undercuts(*then[:2]), 1.0, 0.0)
+    touched = (undercuts(*now[:2]) | undercuts(*then[:2])).astype(jnp.int8)
     touched = (touched.max(axis=1) > 0).reshape(cells.shape)
     is_move = (moves.movers >= 0)[:, None]
     real = (cells != moves.movers[:, None]) & is_move

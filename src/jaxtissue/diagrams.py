@@ -18,6 +18,7 @@ from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines
 from jaxtissue.lowering import light_options
 from jaxtissue.shortlists import (
     STOPS,
+    from_both,
     mirror,
     nearest_sides,
     see,
@@ -119,7 +120,9 @@ class Gauge:
         sides, _ = complete_lists(positions, tube, margin)
         lines = plan_lines(tube, n, self.resolution, surfaces=self.surfaces)
         looked_at = lines, sight_lines(tube, n, self.resolution)
-        clear = np.asarray(_seeing()(positions, tube, looked_at, sides, mirror(sides))[1])
+        _, clear = _seeing()(positions, tube, looked_at, sides)
+        back = mirror(sides)
+        clear = from_both(np.asarray(clear), back)
         bounding = int(
             (clear <= STOPS).sum(axis=2).max()
         )  # on the lines: the check's might not see all these

@@ -9,7 +9,7 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 from scipy import sparse
 
 from jaxtissue.candidates import least, linked, padded
@@ -126,31 +126,52 @@ def mirror(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n 2 can
     return where.reshape(sides.shape)
 
 
-def ranked(
-    clear: Float[Array, "n 2 candidates"],
-    touched: Bool[Array, "n 2 candidates"],
-    stops: Bool[Array, "n 2 candidates"],
-    back: Int[Array, "n 2 candidates"],
-) -> Float[Array, "n 2 candidates"]:
-    """Clearances as candidates are chosen by: of `clearance` the smaller of both views of a pair, as first
-    orders err on one side; below them all the flags."""
-    clear = jnp.where(touched | stops, STOPS, clear)
-    return jnp.where(touched, TOUCHES, jnp.minimum(clear, clear.reshape(-1)[back]))
-
-
 def see(
     positions: Float[Array, "n 2"],
     tube: Tube,
     lines: tuple[Lines, Lines],
     sides: Int[Array, "n 2 candidates"],
-    back: Int[Array, "n 2 candidates"],
 ) -> tuple[Survey, Float[Array, "n 2 candidates"]]:
     """Measure a whole tissue, and on `sight_lines` how clear of each cell its candidates are.
 
-    `back` is the `mirror` of `sides`.
+    Who touches it, or stops it on any line, has a flag instead of a clearance.
     """
     _, seen = measure_cells(positions, tube, lines[0], sides)
-    return seen, ranked(clearance(positions, tube, lines[1], sides), seen.touched, seen.stops, back)
+    clear = clearance(positions, tube, lines[1], sides)
+    return seen, jnp.where(seen.touched, TOUCHES, jnp.where(seen.stops, STOPS, clear))
+
+
+def from_both(
+    clear: Float[np.ndarray, "n 2 candidates"], back: Int[np.ndarray, "n 2 candidates"]
+) -> Float[np.ndarray, "n 2 candidates"]:
+    """The smaller clearance of both views of each pair, as first orders err on one side.
+
+    `back` is the `mirror` of the lists.
+    """
+    return np.minimum(clear, np.maximum(clear, STOPS).reshape(-1)[back])
+
+
+def beyond_level(
+    clear: Float[np.ndarray, "n 2 candidates"],
+    sides: Int[np.ndarray, "n 2 candidates"],
+    axial: Float[np.ndarray, "n"],
+    soon: float,
+) -> Float[np.ndarray, "n 2 candidates"]:
+    """Clearances where who stops a cell from within `soon` along the axis is no farther clear of it on the
+    other side than by that gap.
+
+    It may stop the cell there as soon as it gets there, which no first order foresees: in between their wall
+    is parallel to the axis.
+    """
+    at = np.flatnonzero(clear <= STOPS)
+    cell, side, rival = *np.divmod(at // clear.shape[2], 2), sides.reshape(-1)[at]
+    gap = axial[rival] - axial[cell]
+    near = np.abs(gap) <= soon
+    cell, other, rival, gap = cell[near], 1 - side[near], rival[near], gap[near]
+    pair, place = np.nonzero(sides[cell, other] == rival[:, None])
+    clear, to = clear.copy(), (cell[pair], other[pair], place)
+    clear[to] = np.minimum(clear[to], np.maximum(gap[pair] ** 2, TINY))
+    return clear
 
 
 def around(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n around"]:

@@ -30,10 +30,9 @@ def look(
     model: Model,
     lines: tuple[Lines, Lines],
     sides: Int[Array, "n 2 candidates"],
-    back: Int[Array, "n 2 candidates"],
 ) -> tuple[TissueState, Float[Array, "n 2 candidates"]]:
     """The state of a whole tissue, and how clear of each cell its candidates are: as `see` tells."""
-    seen, clear = see(positions, model.tube, lines, sides, back)
+    seen, clear = see(positions, model.tube, lines, sides)
     return tissue_state(positions, seen), clear
 
 

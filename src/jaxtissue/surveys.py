@@ -12,10 +12,11 @@ from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.metropolis import move_bound
 from jaxtissue.programs import Ahead, Asker, Request, Task
 from jaxtissue.records import Measured
-from jaxtissue.shortlists import mirror, shortlist_length, sight_lines
+from jaxtissue.shortlists import beyond_level, from_both, mirror, shortlist_length, sight_lines
 from jaxtissue.spans import look
 
 MARGIN = 1 / 6  # longest moves, for each candidate on a side, by which one may lie on the other side
+SOON = 4  # longest moves along the axis by which who stops a cell may get to its other side
 Positions = Float[np.ndarray, "n 2"]
 Sides = Int[np.ndarray, "n 2 candidates"]
 Expected = Callable[[Sides], Iterable[Ahead]]
@@ -46,20 +47,25 @@ class Surveyor:
         """
         if self._last and self._last[0] is positions:
             return self._last[1]
-        sides, back = yield from self._find(positions, width, expected)
+        sides = yield from self._find(positions, width, expected)
         # lists are not padded to those of others: their width sets how finely `stop` compares
-        request = Request(look, self._looked_at(positions, sides, back), seldom=True)
-        answer = yield from self._asker.ask(request)
+        call = self._looked_at(positions, sides)
+        answer = yield from self._asker.ask(
+            Request(look, call, seldom=True, meanwhile=partial(mirror, sides))
+        )
         tissue, clear = answer.result
-        self.keep(positions, Measured(tissue, sides, clear))
-        return Measured(tissue, sides, clear)
+        soon = SOON * float(move_bound(self._model, len(positions)))
+        clear = beyond_level(from_both(clear, answer.meanwhile), sides, positions[:, 0], soon)
+        measured = Measured(tissue, sides, clear)
+        self.keep(positions, measured)
+        return measured
 
     def keep(self, positions: Positions, measured: Measured) -> None:
         """Keep a result known from before as the last."""
         self._last = positions, measured
 
-    def _find(self, positions: Positions, width: int, expected: Expected) -> Task[tuple[Sides, Sides]]:
-        """Complete candidate lists, and their `mirror`."""
+    def _find(self, positions: Positions, width: int, expected: Expected) -> Task[Sides]:
+        """Complete candidate lists."""
         tube, n, ask = self._model.tube, len(positions), self._asker.ask
         margin = MARGIN * shortlist_length(n) * float(move_bound(self._model, n))
         for sides, has_all in candidate_lists(positions, tube, margin, width):
@@ -69,15 +75,14 @@ class Surveyor:
                     yield from ask(Ahead(tiling_defect, call, seldom=True))
                 for ahead in expected(sides):
                     yield from ask(ahead)
-                yield from ask(Ahead(look, self._looked_at(positions, sides, sides), seldom=True))
+                yield from ask(Ahead(look, self._looked_at(positions, sides), seldom=True))
             if has_all:
-                return sides, mirror(sides)
-            check = Request(tiling_defect, call, seldom=True, meanwhile=partial(mirror, sides))
-            answer = yield from ask(check)
-            if answer.result < TILES:
-                return sides, answer.meanwhile
+                return sides
+            check = yield from ask(Request(tiling_defect, call, seldom=True))
+            if check.result < TILES:
+                return sides
         raise AssertionError("lists that have all are complete")
 
-    def _looked_at(self, positions: Positions, sides: Sides, back: Sides) -> tuple:
+    def _looked_at(self, positions: Positions, sides: Sides) -> tuple:
         """The arguments of `look`."""
-        return positions, self._model, self.lines(len(positions)), sides, back
+        return positions, self._model, self.lines(len(positions)), sides

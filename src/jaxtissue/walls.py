@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Complex, Int
 
 from jaxtissue.lowering import larger, settled, smaller, taken
@@ -18,6 +19,7 @@ from jaxtissue.views import FAR, LEVEL, Grid, Rivals, meeting
 
 END = -1
 CHUNK = 24  # most candidates in one unrolled loop: of 8 it compiles 2 s sooner, and takes twice as long
+UNROLLED = 48  # most candidates whose loops follow each other without a loop around them
 
 
 class Walls(NamedTuple):
@@ -57,9 +59,12 @@ def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> I
             least = jnp.where(coded < least, coded, least)
         return least
 
-    start = jnp.broadcast_to(ends, (len(grid.z), 2, cells))
-    if candidates <= CHUNK:
-        least = settled(lambda: nearer(start, rivals, 0), truth)
+    least = jnp.broadcast_to(ends, (len(grid.z), 2, cells))
+    if candidates <= UNROLLED:
+        chunks = -(-candidates // CHUNK)
+        for part in np.array_split(np.arange(candidates), chunks):
+            some = jax.tree.map(lambda table, at=slice(part[0], part[-1] + 1): table[at], rivals)
+            least = settled(lambda least=least, some=some, at=part[0]: nearer(least, some, at), truth)
     else:
         tables = in_chunks(rivals)
         chunks, length = tables.half.shape[:2]
@@ -68,7 +73,7 @@ def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> I
         def more(least: Array, some: tuple[Rivals, Array]) -> tuple[Array, None]:
             return settled(lambda: nearer(least, *some), truth), None
 
-        least, _ = jax.lax.scan(more, start, (tables, first))
+        least, _ = jax.lax.scan(more, least, (tables, first))
     winner = (recast(least, integer) & ((1 << bits) - 1)).astype(jnp.int32)
     return jnp.where(least < ends, winner, END)
 
