@@ -27,11 +27,10 @@ from jaxtissue.shortlists import (
     STOPS,
     TOUCHES,
     around,
-    beyond_level,
+    both_views,
     find_unlisted,
     from_both,
     list_first,
-    mirror,
     nearest_sides,
     sight_lines,
 )
@@ -51,12 +50,18 @@ BOUND = float(move_bound(tube_model(TUBE, CELLS), CELLS))
 def tissue():
     """300 cells, their candidates, which of these stop them, how clear the others are, and all contacts."""
     positions = TUBE.random_positions(jax.random.key(3), CELLS)
-    sides = find_candidates(positions, TUBE, MARGIN * CANDIDATES * BOUND)
-    lines = plan_lines(TUBE, CELLS, PRESETS["draft"]), sight_lines(TUBE, CELLS, PRESETS["draft"])
-    _, seen = jax.jit(measure_cells)(positions, TUBE, lines[0], sides)
-    _, clear = jax.jit(look)(positions, tube_model(TUBE, CELLS), lines, sides)
-    clear = from_both(np.asarray(clear), mirror(sides))
+    sides, clear = looked_at(positions)
+    lines = plan_lines(TUBE, CELLS, PRESETS["draft"])
+    _, seen = jax.jit(measure_cells)(positions, TUBE, lines, sides)
     return positions, sides, np.asarray(seen.touched), clear, contact_graph(sides, seen.touched)
+
+
+def looked_at(positions) -> tuple[np.ndarray, np.ndarray]:
+    """Candidates, and how clear they are."""
+    sides = find_candidates(positions, TUBE, MARGIN * BOUND)
+    lines = plan_lines(TUBE, CELLS, PRESETS["draft"]), sight_lines(TUBE, CELLS, PRESETS["draft"])
+    _, clear = jax.jit(look)(positions, tube_model(TUBE, CELLS), lines, sides)
+    return sides, from_both(np.asarray(clear), both_views(sides))
 
 
 def listed(lists: np.ndarray) -> np.ndarray:
@@ -180,35 +185,30 @@ def test_the_clearest_candidates_are_left_out(tissue) -> None:
 
 def test_both_views_of_a_pair_count(tissue) -> None:
     _, sides, _, _, _ = tissue
-    back = mirror(sides)
-    lists = sides.reshape(-1, sides.shape[2])
-    row, _ = np.divmod(np.arange(sides.size), sides.shape[2])
-    there, where = np.divmod(back.reshape(-1), sides.shape[2])
-    found = back.reshape(-1) != np.arange(sides.size)
-    assert 0.5 < found[(lists != np.arange(2 * CELLS)[:, None] // 2).reshape(-1)].mean() < 1
-    assert (there[found] // 2 == lists.reshape(-1)[found]).all()
-    assert (there[found] % 2 != row[found] % 2).all()
-    assert (lists[there[found], where[found]] == row[found] // 2).all()
+    views = both_views(sides)
+    cell, side, _ = np.unravel_index(views, sides.shape)
+    other = sides.reshape(-1)[views]
+    assert (cell[0] == other[1]).all() and (cell[1] == other[0]).all() and (side[0] != side[1]).all()
+    listed = {
+        (i, side, j)
+        for i in range(CELLS)
+        for side in (0, 1)
+        for j in sides[i, side].tolist()
+        if j != i and i in sides[j, 1 - side]
+    }
+    assert len(listed) == views.size == len(np.unique(views))  # all of them, each once
+    assert len(listed) < (sides != np.arange(CELLS)[:, None, None]).sum()
     clear = np.random.default_rng(0).uniform(1, 2, sides.shape).astype(np.float32)
-    first = np.unravel_index(np.flatnonzero(found)[0], sides.shape)
-    other = np.unravel_index(back[first], sides.shape)
+    first, second = (np.unravel_index(view, sides.shape) for view in views[:, 0])
     clear[first] = TOUCHES
-    rank = from_both(clear, back)
+    found = from_both(clear, views)
     # whom it touches is touched by it, as far as ranks go, but not seen to be
-    assert rank[first] == TOUCHES and rank[other] == np.float32(STOPS)
-    expected = np.minimum(clear, clear.reshape(-1)[back])
-    expected[first], expected[other] = rank[first], rank[other]
-    np.testing.assert_array_equal(rank, expected)
-
-
-def test_who_stops_a_cell_may_do_so_from_the_other_side() -> None:
-    sides = np.array([[[1, 2, 3], [2, 1, 0]]])  # of cell 0: 1 and 2 on both, 3 far behind
-    clear = np.array([[[TOUCHES, STOPS, TOUCHES], [9.0, 0.01, np.inf]]], np.float32)
-    axial = np.array([5.0, 4.5, 5.25, 2.0])
-    found = beyond_level(clear, sides, axial, soon=1.0)
-    # 1 touches it half a unit behind it, but is less clear ahead by itself; 2 is a quarter ahead already
-    np.testing.assert_allclose(found, [[[TOUCHES, STOPS, TOUCHES], [0.0625, 0.01, np.inf]]])
-    np.testing.assert_array_equal(beyond_level(clear, sides, axial, soon=0.1), clear)
+    assert found[first] == TOUCHES and found[second] == np.float32(STOPS)
+    expected = clear.copy().reshape(-1)
+    expected[views] = expected[views].min(axis=0)
+    expected = expected.reshape(sides.shape)
+    expected[second] = STOPS
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_few_candidates_do_for_a_while(tissue) -> None:
@@ -220,6 +220,19 @@ def test_few_candidates_do_for_a_while(tissue) -> None:
         few = jnp.asarray(padded(nearest_sides(sides, clear, count), CANDIDATES))
         assert (tiling_defect(positions, TUBE, few) < 1e-5) == complete  # float32, as of all candidates
         assert (tiling_defect(moved, TUBE, few) < 1e-5) == complete
+
+
+def test_who_comes_to_touch_a_cell_was_among_the_nearest(tissue) -> None:
+    positions, sides, _, clear, _ = tissue
+    few, lacked = nearest_sides(sides, clear, 18), 0
+    for seed in range(6):
+        step = np.random.default_rng(seed).normal(0, 0.8 * BOUND, (CELLS, 2)).astype(np.float32)
+        later, touching = looked_at(TUBE.reflect(positions + step / np.array([1, TUBE.apical_radius])))
+        cell, side, place = np.nonzero(touching == TOUCHES)
+        rival = later[cell, side, place]
+        lacked += int((few[cell, side] != rival[:, None]).all(axis=1).sum())
+    # measured 16 of 24,000; 47 where only lines count that bear on the cell by now
+    assert lacked < 30
 
 
 def as_compared(scores: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ def estimate(cells: int, **options: int) -> float:
 
 
 def test_memory_grows_with_cells_and_replicas() -> None:
-    assert estimate(8000) == pytest.approx(1.6 * estimate(5000), rel=1e-6)  # whole bytes
+    assert estimate(4800) == pytest.approx(1.6 * estimate(3000), rel=1e-6)  # whole bytes
     assert 10 * estimate(5000) < estimate(50_000) < 12 * estimate(5000)  # with more candidates
     assert estimate(500, replicas=100) == pytest.approx(100 * estimate(500), rel=1e-6)
     assert estimate(5000) < estimate(5000, float_bytes=8) < 2 * estimate(5000)

@@ -23,7 +23,7 @@ from jaxtissue.views import LEVEL, pick, posts, see_rivals, see_turned
 from jaxtissue.walls import least_reach
 
 NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
-A_SIDE = 72  # of them at most on one side, where cells at the ends of the tube have all
+A_SIDE = 48  # of them at most on one side, where cells at the ends of the tube have all
 ROWS = 128  # cells compared at once: tables that fit the cache
 TILES = 1e-5  # relative defect of the lengths along a line above which lists are taken as incomplete
 
@@ -78,7 +78,7 @@ def candidate_lists(
         most = A_SIDE * count // NEAREST
         sides = sided(nearest(positions, tube, count), positions, tube, margin, most=most)
         yield Attempt(padded(sides, width), most >= len(positions) - 1)
-        count *= 2
+        count += count // 2
 
 
 def nearest(

@@ -19,8 +19,8 @@ from jaxtissue.lowering import light_options
 from jaxtissue.shortlists import (
     CANDIDATES,
     STOPS,
+    both_views,
     from_both,
-    mirror,
     nearest_sides,
     see,
     shortlist_length,
@@ -74,7 +74,7 @@ class Kept(NamedTuple):
 class Gauge:
     """Measures a tissue that moves, on short candidate lists, kept as long as they lack nobody.
 
-    Every cell is compared with the 24 candidates a side (more of more than 500 cells) that could soonest stop
+    Every cell is compared with the 22 candidates a side (more of more than 500 cells) that could soonest stop
     it, and lengths are summed along lines as by `measure_tissue`. Where the sum shows that somebody is
     lacking, lists are found anew, which `renewals` counts, and the cells are measured on these. Without
     `check` there is no sum: then it is for the caller to know that the lists hold, as after small moves.
@@ -122,8 +122,8 @@ class Gauge:
         lines = plan_lines(tube, n, self.resolution, surfaces=self.surfaces)
         looked_at = lines, sight_lines(tube, n, self.resolution)
         _, clear = _seeing()(positions, tube, looked_at, sides)
-        back = mirror(sides)  # while the device looks
-        clear = from_both(np.asarray(clear), back)
+        views = both_views(sides)  # while the device looks
+        clear = from_both(np.asarray(clear), views)
         # all who stop a cell, as the check's lines might not see some; in steps, so that shapes are few
         bounding = int((clear <= STOPS).sum(axis=2).max())
         count = min(max(shortlist_length(n), -(-bounding // CANDIDATES) * CANDIDATES), sides.shape[2])

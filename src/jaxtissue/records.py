@@ -11,7 +11,7 @@ from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.metropolis import SweepInfo
 from jaxtissue.shortlists import CANDIDATES, TOUCHES, around, nearest_sides, shortlist_length
 
-AROUND = 64  # who may be around a cell that has CANDIDATES on each side: room enough for most tissues
+AROUND = 56  # who may be around a cell that has CANDIDATES on each side: room enough for most tissues
 
 
 class Measured(NamedTuple):
@@ -78,7 +78,7 @@ def sweep_record(
 def least_around(cells: int) -> int:
     """Room for those around each cell that is enough for most tissues, so that it seldom has to grow."""
     most = AROUND * shortlist_length(cells) / CANDIDATES
-    return -(-int(min(most, cells)) // 16) * 16
+    return -(-int(min(most, cells)) // 8) * 8
 
 
 def shortlisted(

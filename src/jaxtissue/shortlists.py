@@ -19,12 +19,13 @@ from jaxtissue.lowering import larger, settled, smaller, taken
 from jaxtissue.tube import Tube
 from jaxtissue.views import FAR, Grid, meeting, pick, posts, see_lines, see_others
 
-CANDIDATES = 24  # on each side of a cell: three times as many as bound it
+CANDIDATES = 22  # on each side of a cell: three times as many as bound it
 FEW = 500  # cells for which these do; of more, one lacks a candidate as seldom if all have more
 SIGHT_LINES = 5.0  # lines per mean cell width on which it is seen how clear of a cell its candidates are
 SIGHT = 2.0  # mean cell widths to either side in which that is seen
 TINY = 1e-20
 TOUCHES = 0.0  # clearance of who touches a cell
+STAYS = 0.1  # how much it counts that who stops a cell most likely will go on to
 STOPS = 1e-25  # of who stops it on a line that bears no part of it, below that of all others
 
 
@@ -40,9 +41,11 @@ def clearance(
     if it were not for the one who does.
 
     To first order: d_j^2 - d_i^2 where the second in line would stop the cell, over its derivative,
-    2 sqrt((x - x_j)^2 + (r s sin(t - t_j) / R_a)^2). Squared, and infinite where there is none. Those listed
-    on the side where they are not yet are taken at the mirrored place. Who is far from stopping a cell now
-    will be for a while. At least TINY.
+    2 sqrt((x - x_j)^2 + (r s sin(t - t_j) / R_a)^2). Squared, and infinite where there is none; TINY at
+    least. To that are added the squares of how far the cell is from the line if it were not for those who
+    stop it, since it may get there, and, at a weight of STAYS, of how far the candidate is from where the
+    cell stops now. Those listed on the side where they are not yet are taken at the mirrored place. Who is
+    far from stopping a cell now will be for a while.
     """
     n, dtype = len(positions), positions.dtype
     width = min(n, BLOCK)
@@ -76,8 +79,10 @@ def clearance(
                 z, y = at.radius - at.sagitta_from(rivals), at.across(rivals)
                 around = larger(z, tube.apical_radius) * y / tube.apical_radius
                 speed = (second - 2 * rivals.half) ** 2 + around**2
-                way = (larger(meets - second, 0.0) * 2 * rivals.half) ** 2 / larger(speed, TINY)
-                return jnp.where((first[0] + first[1] > 0) & (way < least), way, least)
+                lacking = larger(-(second[0] + second[1]), 0.0)
+                past = larger(meets - second, 0.0) ** 2 + STAYS * (meets - first) ** 2 + lacking**2
+                way = past * (2 * rivals.half) ** 2 / larger(speed, TINY)
+                return jnp.where(way < least, way, least)
 
             return settled(nearest, truth), None
 
@@ -89,14 +94,14 @@ def clearance(
 
 
 def shortlist_length(cells: int) -> int:
-    """How many candidates a side cells have for some sweeps: 24, and 4 more for each fourfold of cells.
+    """How many candidates a side cells have for some sweeps: 22, and 2 more for each tenfold of cells.
 
-    If one cell lacks one, the sweeps of all are played again: with four more, two to five times as seldom.
+    If one cell lacks one, the sweeps of all are played again: with two more, seven times as seldom.
 
     >>> shortlist_length(500), shortlist_length(50_000)
-    (24, 40)
+    (22, 26)
     """
-    return CANDIDATES + 4 * max(0, math.ceil(math.log(cells / FEW, 4)))
+    return CANDIDATES + 2 * max(0, math.ceil(math.log10(cells / FEW)))
 
 
 def nearest_sides(
@@ -109,21 +114,28 @@ def nearest_sides(
     return padded(np.where(np.isfinite(clear), sides, own), count)
 
 
-def mirror(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n 2 candidates"]:
-    """Where in `sides`, as a flat place, each candidate has the cell among its own; else its own place."""
-    lists, n = sides.reshape(-1, sides.shape[2]), len(sides)
-    at = np.flatnonzero(lists != np.repeat(np.arange(n, dtype=np.int32), 2)[:, None]).astype(np.int32)
-    row = at // lists.shape[1]
-    back = 2 * lists.reshape(-1)[at] + 1 - row % 2  # the list of the other, on its side towards the cell
-    start = np.searchsorted(row, np.arange(2 * n + 1))
-    mirrored = sparse.csr_array((at + 1, back, start), shape=(2 * n, 2 * n)).T.tocsr()
-    places = mirrored.T.tocsr()  # so that both have the columns of a row in order
-    both = [
-        one.multiply(other.astype(bool)).data - 1 for one, other in ((places, mirrored), (mirrored, places))
-    ]
-    where = np.arange(sides.size, dtype=np.int32)
-    where[both[0]] = both[1]
-    return where.reshape(sides.shape)
+def both_views(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "2 pairs"]:
+    """Where in `sides`, as flat places, each pair has both its views: the two list each other, on sides that
+    agree on who is ahead.
+
+    Pair, who is ahead, whose view and where in that list are one integer, since sorting those is fast.
+    """
+    n, row = len(sides), sides[0].size
+    own, lists, place = np.arange(n, dtype=np.int32)[:, None], sides.reshape(n, row), np.arange(row)
+    bits = (row - 1).bit_length()
+    is_low = own < lists
+    coded = np.maximum(own, lists).astype(np.int64)
+    coded *= n
+    coded += np.minimum(own, lists)
+    coded <<= bits + 2
+    coded |= (is_low == (place >= row // 2)).astype(np.int32) << bits + 1 | is_low.astype(np.int32) << bits
+    coded |= place
+    coded = np.sort(coded[lists != own])
+    pair = coded >> bits + 1
+    first = np.flatnonzero(pair[1:] == pair[:-1])
+    cells = np.divmod(pair[first] >> 1, n)  # the high one, whose view comes first, and the low one
+    places = coded[first], coded[first + 1]
+    return np.stack([cell * row + (at & (1 << bits) - 1) for cell, at in zip(cells, places, strict=True)])
 
 
 def see(
@@ -142,36 +154,18 @@ def see(
 
 
 def from_both(
-    clear: Float[np.ndarray, "n 2 candidates"], back: Int[np.ndarray, "n 2 candidates"]
+    clear: Float[np.ndarray, "n 2 candidates"], views: Int[np.ndarray, "2 pairs"]
 ) -> Float[np.ndarray, "n 2 candidates"]:
     """The smaller clearance of both views of each pair, as first orders err on one side.
 
-    `back` is the `mirror` of the lists.
+    `views` are `both_views` of the lists.
     """
-    return np.minimum(clear, np.maximum(clear, STOPS).reshape(-1)[back])
-
-
-def beyond_level(
-    clear: Float[np.ndarray, "n 2 candidates"],
-    sides: Int[np.ndarray, "n 2 candidates"],
-    axial: Float[np.ndarray, "n"],
-    soon: float,
-) -> Float[np.ndarray, "n 2 candidates"]:
-    """Clearances where who stops a cell from within `soon` along the axis is no farther clear of it on the
-    other side than by that gap.
-
-    It may stop the cell there as soon as it gets there, which no first order foresees: in between their wall
-    is parallel to the axis.
-    """
-    at = np.flatnonzero(clear <= STOPS)
-    cell, side, rival = *np.divmod(at // clear.shape[2], 2), sides.reshape(-1)[at]
-    gap = axial[rival] - axial[cell]
-    near = np.abs(gap) <= soon
-    cell, other, rival, gap = cell[near], 1 - side[near], rival[near], gap[near]
-    pair, place = np.nonzero(sides[cell, other] == rival[:, None])
-    clear, to = clear.copy(), (cell[pair], other[pair], place)
-    clear[to] = np.minimum(clear[to], np.maximum(gap[pair] ** 2, TINY))
-    return clear
+    each = clear.reshape(-1)
+    first, second = each[views]
+    nearer = each.copy()
+    nearer[views[0]] = np.minimum(first, np.maximum(second, STOPS))
+    nearer[views[1]] = np.minimum(second, np.maximum(first, STOPS))
+    return nearer.reshape(clear.shape)
 
 
 def around(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n around"]:

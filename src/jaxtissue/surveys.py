@@ -12,11 +12,10 @@ from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.metropolis import move_bound
 from jaxtissue.programs import Ahead, Asker, Request, Task
 from jaxtissue.records import Measured
-from jaxtissue.shortlists import beyond_level, from_both, mirror, shortlist_length, sight_lines
+from jaxtissue.shortlists import both_views, from_both, sight_lines
 from jaxtissue.spans import look
 
-MARGIN = 1 / 6  # longest moves, for each candidate on a side, by which one may lie on the other side
-SOON = 4  # longest moves along the axis by which who stops a cell may get to its other side
+MARGIN = 6  # longest moves along the axis by which a candidate may get to the other side of a cell
 Positions = Float[np.ndarray, "n 2"]
 Sides = Int[np.ndarray, "n 2 candidates"]
 Expected = Callable[[Sides], Iterable[Ahead]]
@@ -51,12 +50,10 @@ class Surveyor:
         # lists are not padded to those of others: their width sets how finely `stop` compares
         call = self._looked_at(positions, sides)
         answer = yield from self._asker.ask(
-            Request(look, call, seldom=True, meanwhile=partial(mirror, sides))
+            Request(look, call, seldom=True, meanwhile=partial(both_views, sides))
         )
         tissue, clear = answer.result
-        soon = SOON * float(move_bound(self._model, len(positions)))
-        clear = beyond_level(from_both(clear, answer.meanwhile), sides, positions[:, 0], soon)
-        measured = Measured(tissue, sides, clear)
+        measured = Measured(tissue, sides, from_both(clear, answer.meanwhile))
         self.keep(positions, measured)
         return measured
 
@@ -67,7 +64,7 @@ class Surveyor:
     def _find(self, positions: Positions, width: int, expected: Expected) -> Task[Sides]:
         """Complete candidate lists."""
         tube, n, ask = self._model.tube, len(positions), self._asker.ask
-        margin = MARGIN * shortlist_length(n) * float(move_bound(self._model, n))
+        margin = MARGIN * float(move_bound(self._model, n))
         for sides, has_all in candidate_lists(positions, tube, margin, width):
             call = positions, tube, sides
             if self._last is None:
