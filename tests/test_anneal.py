@@ -93,10 +93,10 @@ def test_what_cannot_run_is_named(change: dict, named: str) -> None:
 def test_a_run_goes_on_to_the_bit(start) -> None:
     whole, rows = play(annealer(12), start)
     middle, before = play(annealer(5), start)  # a shorter schedule: sweeps to come change nothing
-    stored = AnnealState(int(middle.sweep), middle.positions.copy(), tuple(middle.widths))
+    stored = AnnealState(int(middle.sweep), middle.positions.copy(), middle.around)
     again, after = play(annealer(12), stored)
     assert without_time(rows) == without_time(before + after)
-    assert again.sweep == 12 and again.widths == whole.widths
+    assert again.sweep == 12 and again.around == whole.around
     np.testing.assert_array_equal(again.positions, whole.positions)
     _, odd = play(annealer(7), start)  # the sweeps of a span that ends early are those of a whole one
     assert [row._replace(drift=0.0) for row in without_time(odd)] == [

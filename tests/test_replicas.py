@@ -49,7 +49,7 @@ def play(kinds: list, slots: int = 0) -> list:
         states = [state for state, _, _ in spans]
         for known, (_, rows, places) in zip(told, spans, strict=True):
             known += [*(row._replace(seconds=0.0) for row in rows), *places.tolist()]
-    return [(known, state.sweep, state.widths) for known, state in zip(told, states, strict=True)]
+    return [(known, state.sweep, state.around) for known, state in zip(told, states, strict=True)]
 
 
 @pytest.fixture(scope="module")

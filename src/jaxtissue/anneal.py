@@ -37,11 +37,11 @@ def renews_at(sweep: int) -> bool:
 
 
 class AnnealState(NamedTuple):
-    """All that a run needs to go on to the bit: sweeps done, backbones, and how wide its lists have grown."""
+    """All that a run needs to go on to the bit: sweeps done, backbones, and how long its lists have grown."""
 
     sweep: int
     positions: Float[np.ndarray, "n 2"]
-    widths: tuple[int, int] = (0, 0)  # of the candidates on each side, and of all who are around a cell
+    around: int = 0  # room for those around a cell
 
 
 class Annealer:
@@ -132,7 +132,7 @@ class Annealer:
         measured = yield from self._measure(state)
         sides, clear = measured.sides.copy(), measured.clear.copy()
         while True:
-            near = shortlisted(sides, clear, state.widths[1])
+            near = shortlisted(sides, clear, state.around)
             after, trail = yield from self._play_on(near, state, measured, plan[:sweeps])
             fresh = yield from self._measure(after)
             missing = self._missing(fresh, near, trail)
@@ -165,8 +165,7 @@ class Annealer:
         needs = near.around.shape[1], orders.rounds.shape[1]
         answer = yield from self._asker.ask(Request(play, arguments, needs, fit_play))
         trail = jax.tree.map(lambda leaf: leaf[:sweeps], answer.result[1])
-        widths = measured.sides.shape[2], near.around.shape[1]
-        return AnnealState(state.sweep + sweeps, trail.positions[-1], widths), trail
+        return AnnealState(state.sweep + sweeps, trail.positions[-1], near.around.shape[1]), trail
 
     def _missing(self, fresh: Measured, near: Neighborhoods, trail: Trail) -> Int[np.ndarray, "pairs 2"]:
         """Cells not as they were carried along, and those who stop them without having been listed."""
@@ -192,8 +191,8 @@ class Annealer:
         return after, second._replace(info=info), max(drift, more)
 
     def _measure(self, state: AnnealState) -> Task[Measured]:
-        """Measure the whole tissue on complete lists, at least as wide as before."""
-        return self._surveyor.measure(state.positions, state.widths[0], partial(self._expected, state))
+        """Measure the whole tissue on complete lists."""
+        return self._surveyor.measure(state.positions, partial(self._expected, state))
 
     def _expected(self, state: AnnealState, sides: Int[np.ndarray, "n 2 candidates"]) -> Iterator[Ahead]:
         """What will be asked for on such lists: what plays sweeps, with lists and rounds as wide as they are
@@ -206,7 +205,7 @@ class Annealer:
             reach: Any = np.zeros((n, 2, lines.row), dtype)
             tissue = TissueState(Posts(blank, blank, blank, blank), blank, blank, reach, blank > 0)
             few = np.zeros((n, 2, min(shortlist_length(n), sides.shape[2])), np.int32)
-            near = Neighborhoods(np.zeros((n, max(least_around(n), state.widths[1])), np.int32), few)
+            near = Neighborhoods(np.zeros((n, max(least_around(n), state.around)), np.int32), few)
             rounds = np.zeros((n, 1) if self.algorithm == "mh" else (1, round_width(n)), np.int32)
             orders, temperatures = padded_orders([rounds], SPAN, near), np.zeros(SPAN, dtype)
             draws = np.zeros((SPAN, 3, n), dtype)

@@ -70,14 +70,14 @@ class Attempt(NamedTuple):
 
 
 def candidate_lists(
-    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0, width: int = 0
+    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0
 ) -> Iterator[Attempt]:
-    """Longer and longer lists, from NEAREST up to everyone, padded to `width` at least."""
+    """Longer and longer lists, from NEAREST up to everyone."""
     count = NEAREST
     while True:
         most = A_SIDE * count // NEAREST
         sides = sided(nearest(positions, tube, count), positions, tube, margin, most=most)
-        yield Attempt(padded(sides, width), most >= len(positions) - 1)
+        yield Attempt(sides, most >= len(positions) - 1)
         count += count // 2
 
 

@@ -217,7 +217,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     try:
         with np.load(path, allow_pickle=False) as file:
             data = dict(file)
-        state = AnnealState(int(data["sweep"]), data["positions"], tuple(data["widths"].tolist()))
+        state = AnnealState(int(data["sweep"]), data["positions"], int(data["around"]))
         return Checkpoint(state, data["kept_sweeps"], data["kept_positions"])
     except FileNotFoundError as error:
         raise ValueError(f"{path.parent} has no checkpoint to resume; leave --resume out") from error

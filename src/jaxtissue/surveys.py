@@ -39,14 +39,14 @@ class Surveyor:
             )
         return self._lines[cells]
 
-    def measure(self, positions: Positions, width: int, expected: Expected) -> Task[Measured]:
-        """Measure the whole tissue, on lists of at least `width` a side.
+    def measure(self, positions: Positions, expected: Expected) -> Task[Measured]:
+        """Measure the whole tissue.
 
-        The first time, what is `expected` to be asked for on such lists is compiled meanwhile.
+        The first time, what is `expected` to be asked for on its lists is compiled meanwhile.
         """
         if self._last and self._last[0] is positions:
             return self._last[1]
-        sides = yield from self._find(positions, width, expected)
+        sides = yield from self._find(positions, expected)
         # lists are not padded to those of others: their width sets how finely `stop` compares
         call = self._looked_at(positions, sides)
         answer = yield from self._asker.ask(
@@ -61,11 +61,11 @@ class Surveyor:
         """Keep a result known from before as the last."""
         self._last = positions, measured
 
-    def _find(self, positions: Positions, width: int, expected: Expected) -> Task[Sides]:
+    def _find(self, positions: Positions, expected: Expected) -> Task[Sides]:
         """Complete candidate lists."""
         tube, n, ask = self._model.tube, len(positions), self._asker.ask
         margin = MARGIN * float(move_bound(self._model, n))
-        for sides, has_all in candidate_lists(positions, tube, margin, width):
+        for sides, has_all in candidate_lists(positions, tube, margin):
             call = positions, tube, sides
             if self._last is None:
                 if not has_all:  # first, as it is the first that is asked for
