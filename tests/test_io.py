@@ -111,7 +111,7 @@ def test_json_has_no_infinity_and_no_nan(tmp_path):
 @pytest.fixture
 def checkpoint():
     rng = np.random.default_rng(0)
-    state = AnnealState(7, rng.random((3, 2), np.float32), (24, 48))
+    state = AnnealState(7, rng.random((3, 2), np.float32), 56)
     return io.Checkpoint(state, np.array([0, 5]), rng.random((2, 3, 2), np.float32))
 
 

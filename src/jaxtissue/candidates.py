@@ -23,7 +23,7 @@ from jaxtissue.views import LEVEL, pick, posts, see_rivals, see_turned
 from jaxtissue.walls import least_reach
 
 NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
-A_SIDE = 48  # of them at most on one side, where cells at the ends of the tube have all
+A_SIDE = 56  # of them at most on one side, where cells at the ends of the tube have all
 ROWS = 128  # cells compared at once: tables that fit the cache
 TILES = 1e-5  # relative defect of the lengths along a line above which lists are taken as incomplete
 
@@ -192,8 +192,8 @@ def sided(
     margin = max(margin, 2 * LEVEL * float(tube.apical_radius))
     chosen = np.stack([gap <= margin, gap >= -margin], axis=1) & (lists != own)[:, None]
     width = max(1, int(chosen.sum(axis=2, dtype=np.int32).max(initial=0)))
-    width = width if most is None else min(width, most)
     width = -(-width // 24) * 24  # few shapes, so few compilations
+    width = width if most is None else min(width, most)
     # place in the list and number as one integer, since sorting those is fast; the cell itself comes last
     bits = len(lists).bit_length()
     kind = np.int32 if (none + 1) << bits < 2**31 else np.int64

@@ -18,7 +18,7 @@ def estimate_memory(
 ) -> int:
     """Peak memory of an annealing run in bytes: a base, and so much for each cell of each replica.
 
-    base + replicas n (2 looks + lists + state + one round's tables): a look has for each of 2 x 48 candidates
+    base + replicas n (2 looks + lists + state + one round's tables): a look has for each of 2 x 56 candidates
     its number, on host and device, its clearance, and two flags, and the reach on each line. Fitted to
     peaks by `draft` on one CPU from random backbones: 768, 881 and 2,162 MiB at n = 500, 5,000 and 50,000.
 

@@ -25,7 +25,8 @@ SIGHT_LINES = 5.0  # lines per mean cell width on which it is seen how clear of 
 SIGHT = 2.0  # mean cell widths to either side in which that is seen
 TINY = 1e-20
 TOUCHES = 0.0  # clearance of who touches a cell
-STAYS = 0.1  # how much it counts that who stops a cell most likely will go on to
+STAYS = 0.1  # weight of how far a candidate is from where the cell stops now: who stops it may go on to
+ACROSS = 0.4  # weight of how far along the axis it is from the side on which it is listed
 STOPS = 1e-25  # of who stops it on a line that bears no part of it, below that of all others
 
 
@@ -44,8 +45,8 @@ def clearance(
     2 sqrt((x - x_j)^2 + (r s sin(t - t_j) / R_a)^2). Squared, and infinite where there is none; TINY at
     least. To that are added the squares of how far the cell is from the line if it were not for those who
     stop it, since it may get there, and, at a weight of STAYS, of how far the candidate is from where the
-    cell stops now. Those listed on the side where they are not yet are taken at the mirrored place. Who is
-    far from stopping a cell now will be for a while.
+    cell stops now. Those listed on the side where they are not yet are taken at the mirrored place, farther
+    by the way to that side, at a weight of ACROSS. Who is far from stopping a cell now will be for a while.
     """
     n, dtype = len(positions), positions.dtype
     width = min(n, BLOCK)
@@ -87,7 +88,9 @@ def clearance(
             return settled(nearest, truth), None
 
         least, _ = jax.lax.scan(nearer, jnp.full(rivals.half.shape, jnp.inf, dtype), grid)
-        return jnp.where(rivals.half < FAR, jnp.maximum(least, TINY), jnp.inf).transpose(2, 1, 0)
+        beyond = larger(jnp.array([[1], [-1]]) * (others.axial - own.axial), 0.0)  # not yet on that side
+        least = jnp.maximum(least + ACROSS * beyond**2, TINY)
+        return jnp.where(rivals.half < FAR, least, jnp.inf).transpose(2, 1, 0)
 
     least = jax.lax.map(block, width * jnp.arange(blocks))
     return least.reshape(blocks * width, *sides.shape[1:])[:n]

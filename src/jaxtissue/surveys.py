@@ -15,7 +15,7 @@ from jaxtissue.records import Measured
 from jaxtissue.shortlists import both_views, from_both, sight_lines
 from jaxtissue.spans import look
 
-MARGIN = 6  # longest moves along the axis by which a candidate may get to the other side of a cell
+MARGIN = 8  # longest moves along the axis by which a candidate may get to the other side of a cell
 Positions = Float[np.ndarray, "n 2"]
 Sides = Int[np.ndarray, "n 2 candidates"]
 Expected = Callable[[Sides], Iterable[Ahead]]
