@@ -97,14 +97,14 @@ def clearance(
 
 
 def shortlist_length(cells: int) -> int:
-    """How many candidates a side cells have for some sweeps: 22, and 2 more for each tenfold of cells.
+    """How many candidates a side cells have for some sweeps: 22, and 3 more for each tenfold of cells.
 
-    If one cell lacks one, the sweeps of all are played again: with two more, seven times as seldom.
+    If one cell lacks one, the sweeps of all are played again: with three more, about ten times as seldom.
 
     >>> shortlist_length(500), shortlist_length(50_000)
-    (22, 26)
+    (22, 28)
     """
-    return CANDIDATES + 2 * max(0, math.ceil(math.log10(cells / FEW)))
+    return CANDIDATES + 3 * max(0, math.ceil(math.log10(cells / FEW)))
 
 
 def nearest_sides(

@@ -19,7 +19,7 @@ from jaxtissue.views import FAR, LEVEL, Grid, Rivals, meeting
 
 END = -1
 CHUNK = 24  # most candidates in one unrolled loop: of 8 it compiles 2 s sooner, and takes twice as long
-UNROLLED = 32  # most candidates whose loops follow each other without a loop around them
+UNROLLED = 48  # most candidates whose loops follow each other without a loop around them
 
 
 class Walls(NamedTuple):
