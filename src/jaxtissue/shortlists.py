@@ -192,11 +192,8 @@ def find_unlisted(
     sides: Int[np.ndarray, "n 2 candidates"],
     few: Int[np.ndarray, "n 2 few"],
 ) -> Int[np.ndarray, "pairs 2"]:
-    """Some of the cells, and those who stop them without being on their shortlists.
-
-    Not only those who touch them: without whoever else stops a cell it would have a phantom piece beside it.
-    """
-    row, side, place = np.nonzero(clear[cells] <= STOPS)
+    """Some of the cells, and those who touch them without being on their shortlists."""
+    row, side, place = np.nonzero(clear[cells] == TOUCHES)
     cell = cells[row]
     rival = sides[cell, side, place]
     listed = (few[cell, side] == rival[:, None]).any(axis=1)
