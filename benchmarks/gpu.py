@@ -1,7 +1,7 @@
 """Sweeps and whole diagrams of large tissues and many replicas on a GPU, checked against the CPU.
 
 R_a = 1, R_b = 10, five cells per unit of length, by `draft`. Runs on the CPU too, and says so. The fraction
-of the chip's limit is told for whole diagrams: floating-point operations of the innermost loop, 14 for each
+of the chip's limit is told for whole diagrams: floating-point operations of the innermost loop, 13 for each
 line and candidate, per second, over the most that multiply-adds in registers or a matmul reach on the device.
 """
 

@@ -19,7 +19,7 @@ from peer import Peer, find_peer
 import jaxtissue as jt
 from jaxtissue.anneal import SPAN
 
-RESOLUTIONS = ("draft", "3x4", "4x3.3", "7x7", "7x8", "8x8")
+RESOLUTIONS = ("draft", "standard", "fine", "3x4", "4x3.3", "7x7")
 ALGORITHMS, SAMPLES = ("incremental MH", "IS-MH"), (4, 10, 50)
 WARM_UP = 2 * SPAN  # sweeps before those timed as typical: in the first, lists are renewed more often
 SWEEPS = WARM_UP + 4 * SPAN

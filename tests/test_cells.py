@@ -16,8 +16,8 @@ from jaxtissue.tube import Tube
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 
 TUBE = Tube(length=10.0, apical_radius=1.0, basal_radius=3.0)
-# rms over cells / mean cell of volume and lateral area, error of the total area; only `standard` has the rest
-BARS = {"draft": (0.015, 0.04, np.inf), "standard": (0.003, 0.015, 0.005), "fine": (0.0005, 0.01, 0.002)}
+# rms over cells / mean cell of volume and lateral area, error of the total area; surfaces of `standard` below
+BARS = {"draft": (0.005, 0.02, 0.01), "standard": (0.0007, 0.01, 0.002), "fine": (0.0005, 0.005, 0.001)}
 SURFACE_BARS = {"apical_area": 0.005, "basal_area": 0.005, "apical_perim": 0.01, "basal_perim": 0.01}
 SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimeter", "basal_perimeter")
 
@@ -132,11 +132,12 @@ def test_subsets_and_replicas_measure_as_the_whole_alone() -> None:
         assert float(together[k][0].sum()) == pytest.approx(float(tube.volume), rel=0.005)  # a draft's total
 
 
-@pytest.mark.parametrize("count", [2, 4, 5])
+@pytest.mark.parametrize("count", [2, 3, 4, 5])
 def test_a_ring_of_cells_has_radial_walls(count: int) -> None:
     angle = 2 * np.pi / count * np.arange(count)
     cells = measure_among_all(jnp.stack([jnp.full(count, 4.0), jnp.asarray(angle)], -1), TUBE, "draft")
-    # the walls of 2 and of 4 lie on lines
+    # walls of 3 lie on lines of a layer where the next stands a sixth of the circle off: there the angle from
+    # the plane must be right to float32, or they are counted half again
     walls, ring = 2 * 10 * (3 - 1), np.pi * 10 / count
     expected = [ring * (9 - 1), walls, ring * 2, ring * 6, 20, 20]
     for name, size in zip(SIZES, expected, strict=True):

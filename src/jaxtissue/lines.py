@@ -24,7 +24,9 @@ class Resolution(NamedTuple):
 REACH = 1.7  # mean cell widths on either side of a backbone that the first window of lines covers
 GRAIN = 1.5  # mean cell widths to which layers have whole numbers of lines
 INSET = 0.37  # about (sqrt(3) - 1) / 2, of the best rules for natural splines
-PRESETS = {"draft": Resolution(3, 3), "standard": Resolution(6, 8), "fine": Resolution(10, 10)}
+# Cut from the frontier of error against time: on every reference tube `draft` errs by at most V 0.5 %, A 3 %,
+# `standard` by V 0.07 %, A 1 %, `fine` by V 0.05 %, A 0.5 %. These are the bars of the races.
+PRESETS = {"draft": Resolution(4, 4), "standard": Resolution(7, 8), "fine": Resolution(10, 10)}
 
 
 def resolution_named(name: str) -> Resolution:

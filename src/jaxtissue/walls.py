@@ -162,10 +162,8 @@ def towards_plane(
     slope, tilt = slopes
     z, y = line.radius - line.sagitta_from(rival), line.across(rival)
     level = is_level(rival, tube)
-    # tangent of the angle from the plane, of half of it, and by its series the angle
-    tangent = (line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12)
-    tangent = tangent / (1 + jnp.sqrt(1 + tangent**2))
-    aside = 2 * tangent * (1 - tangent**2 * (1 / 3 - tangent**2 * (1 / 5 - tangent**2 / 7)))
+    # the angle from the plane: reaches are thousands of its radii, so every digit counts
+    aside = jnp.arctan((line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12))
     slope = jnp.where(level & (jnp.abs(aside) > 1e-3), (reach - rival.half) / aside, slope)
     return slope, jnp.where(level, 0, tilt)
 

@@ -20,7 +20,7 @@ from jaxtissue.tube import Tube
 Table = dict[str, np.ndarray]
 THRESHOLDS = (0.0, 0.01, 0.02, 0.05)  # smallest walls counted, in mean walls
 BASAL_RADIUS = 10.0
-FORMAT = 7  # of what is kept in a folder; raised when other code would compute other values
+FORMAT = 8  # of what is kept in a folder; raised when other code would compute other values
 
 
 @dataclass(frozen=True)
