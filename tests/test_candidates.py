@@ -246,6 +246,17 @@ def listed_on(sides: np.ndarray, few: np.ndarray) -> np.ndarray:
     return (sides[..., :, None] == few[..., None, :]).any(axis=-1)
 
 
+def test_lists_are_in_order_of_numbers(tissue) -> None:
+    # of rivals that stop a line within 1e-5 of each other the first is taken, on short lists as on long ones:
+    # where these were ordered by clearance, an energy carried along was off by 2e-5 after 20 sweeps
+    _, sides, _, clear, _ = tissue
+    own = np.arange(CELLS)
+    for lists in (sides, nearest_sides(sides, clear, 12)):
+        for cell in own:
+            for side in lists[cell]:
+                assert (np.diff(side[side != cell]) > 0).all()
+
+
 def test_who_lacked_a_rival_is_listed_first(tissue) -> None:
     _, sides, _, clear, _ = tissue
     # as if none had been seen to stop a cell

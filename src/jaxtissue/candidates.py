@@ -185,7 +185,8 @@ def sided(
 ) -> Int[np.ndarray, "n 2 side_candidates"]:
     """Candidates split into those behind and those ahead along the axis; within `margin`, both.
 
-    Of each side the first `most`.
+    Of each side the first `most`, in order of their numbers: of those that its codes cannot tell apart `stop`
+    takes the first, and short lists must take the same as long ones.
     """
     axial, own = np.asarray(positions, float)[:, 0], np.arange(len(lists), dtype=np.int32)[:, None]
     gap, none = axial[lists] - axial[:, None], lists.shape[1]
@@ -194,13 +195,15 @@ def sided(
     width = max(1, int(chosen.sum(axis=2, dtype=np.int32).max(initial=0)))
     width = -(-width // 24) * 24  # few shapes, so few compilations
     width = width if most is None else min(width, most)
-    # place in the list and number as one integer, since sorting those is fast; the cell itself comes last
+    # place in the list and number as one integer, since sorting those is fast; the cell itself is taken last
     bits = len(lists).bit_length()
     kind = np.int32 if (none + 1) << bits < 2**31 else np.int64
     coded, last = lists | np.arange(none, dtype=kind) << bits, own | kind(none << bits)
     ordered = (coded - last)[:, None] * chosen + last[:, None]  # `where` takes four times as long
     ordered.sort(axis=2)
-    return padded((ordered[..., :width] & (1 << bits) - 1).astype(np.int32), width)
+    few = (ordered[..., :width] & (1 << bits) - 1).astype(np.int32)
+    few.sort(axis=2)
+    return padded(few, width)
 
 
 def padded(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.ndarray, "n ... width"]:

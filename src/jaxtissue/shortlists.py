@@ -110,11 +110,11 @@ def shortlist_length(cells: int) -> int:
 def nearest_sides(
     sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"], count: int
 ) -> Int[np.ndarray, "n 2 count"]:
-    """The `count` candidates on each side whose walls are nearest to the cell."""
+    """The `count` candidates on each side whose walls are nearest to the cell, by number as on long lists."""
     kept = least(clear, count)
     sides, clear = (np.take_along_axis(table, kept, axis=2) for table in (sides, clear))
     own = np.arange(len(sides), dtype=sides.dtype)[:, None, None]
-    return padded(np.where(np.isfinite(clear), sides, own), count)
+    return padded(np.sort(np.where(np.isfinite(clear), sides, own), axis=2), count)
 
 
 def both_views(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "2 pairs"]:

@@ -47,7 +47,8 @@ def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> I
     would each repeat the loop). That blurs the choice, not the reach, by about 1e-5.
     """
     candidates, _, cells = rivals.half.shape
-    # as many for short lists as for long ones, so that both choose alike where two reaches are so close
+    # as many for short lists as for long ones, and lists are in order of numbers, so that both choose alike
+    # where two reaches are so close
     bits = next(bits for bits in (7, 10, 16) if candidates <= 1 << bits)
     integer = jnp.int64 if ends.dtype == jnp.float64 else jnp.int32
     recast = jax.lax.bitcast_convert_type
