@@ -1,7 +1,9 @@
 """Files: what is written reads back exactly, what can't be read is refused in one clear line."""
 
+import errno
 import json
 import math
+import os
 
 import numpy as np
 import pytest
@@ -137,6 +139,16 @@ def test_a_broken_write_leaves_the_old_checkpoint(tmp_path, checkpoint, monkeypa
     with pytest.raises(OSError, match="disk full"):
         io.save_checkpoint(path, checkpoint)
     assert path.read_bytes() == whole and [p.name for p in tmp_path.iterdir()] == ["checkpoint.npz"]
+
+
+def test_a_full_disk_names_the_file(tmp_path, checkpoint, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match=r"No space left on device, writing .*checkpoint\.npz"):
+        io.save_checkpoint(tmp_path / "checkpoint.npz", checkpoint)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
