@@ -17,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy import sparse
 
 from jaxtissue.cells import BLOCK
-from jaxtissue.lowering import light_options, settled
+from jaxtissue.lowering import options, settled
 from jaxtissue.tube import Tube
 from jaxtissue.views import LEVEL, pick, posts, see_rivals, see_turned
 from jaxtissue.walls import least_reach
@@ -59,7 +59,7 @@ def find_defect(
 
 @functools.cache
 def _checking() -> Callable[..., Array]:
-    return jax.jit(tiling_defect, compiler_options=light_options())
+    return jax.jit(tiling_defect, compiler_options=options(light=True))
 
 
 class Attempt(NamedTuple):

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 from jaxtissue.candidates import TILES, complete_lists, find_defect
 from jaxtissue.cells import CellGeometry, measure_cells
 from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines
-from jaxtissue.lowering import light_options
+from jaxtissue.lowering import options
 from jaxtissue.shortlists import (
     CANDIDATES,
     STOPS,
@@ -162,7 +162,7 @@ def _measuring(devices: tuple[Any, ...]) -> Callable[..., CellGeometry]:
     def measure_all(*arguments: Any) -> CellGeometry:
         return measure_cells(*arguments)[0]
 
-    return jax.jit(measure_shares if len(devices) > 1 else measure_all)
+    return jax.jit(measure_shares if len(devices) > 1 else measure_all, compiler_options=options())
 
 
 @functools.cache
@@ -172,4 +172,4 @@ def _mesh(devices: tuple[Any, ...]) -> Mesh:
 
 @functools.cache
 def _seeing() -> Callable[..., tuple[Any, Array]]:
-    return jax.jit(see, compiler_options=light_options())
+    return jax.jit(see, compiler_options=options(light=True))

@@ -17,7 +17,7 @@ import numpy as np
 import platformdirs
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
-from jaxtissue.lowering import light_options
+from jaxtissue.lowering import options
 
 T = TypeVar("T")
 AXIS = "replicas"
@@ -183,8 +183,7 @@ def _compiling(asked: Request | Ahead, mesh: Mesh, batch: tuple) -> Callable[[],
         return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding)
 
     lowered = jax.jit(_lifted(asked.function, mesh)).lower(*jax.tree.map(shape, batch))
-    options = light_options() if asked.seldom else {}
-    return lambda: lowered.compile(options)
+    return lambda: lowered.compile(options(light=asked.seldom))
 
 
 def _compile_ahead(step: Ahead, slots: int, devices: int) -> None:

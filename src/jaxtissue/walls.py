@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Int
 
-from jaxtissue.lowering import larger, settled, smaller, taken
+from jaxtissue.lowering import arctan, larger, settled, smaller, taken
 from jaxtissue.tube import Tube
 from jaxtissue.views import FAR, LEVEL, Grid, Rivals, meeting
 
@@ -163,8 +163,7 @@ def towards_plane(
     slope, tilt = slopes
     z, y = line.radius - line.sagitta_from(rival), line.across(rival)
     level = is_level(rival, tube)
-    # the angle from the plane: reaches are thousands of its radii, so every digit counts
-    aside = jnp.arctan((line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12))
+    aside = arctan((line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12))
     slope = jnp.where(level & (jnp.abs(aside) > 1e-3), (reach - rival.half) / aside, slope)
     return slope, jnp.where(level, 0, tilt)
 

@@ -1,0 +1,48 @@
+"""Programs as users get them: wide vectors and few optimizations change no result."""
+
+import jax
+import numpy as np
+import pytest
+
+from jaxtissue.candidates import find_candidates
+from jaxtissue.cells import measure_cells
+from jaxtissue.exact import exact_cells
+from jaxtissue.lines import PRESETS, plan_lines
+from jaxtissue.lowering import arctan, options
+from jaxtissue.tube import Tube
+
+TUBE = Tube(40.0, 1.0, 8.0)
+CELLS = 150
+
+
+@pytest.fixture(scope="module")
+def tissue():
+    """Random cells, a fifth of which share their height with the next: their walls take every branch."""
+    positions = np.array(TUBE.random_positions(jax.random.key(1), CELLS))
+    positions[1::10, 0] = positions[::10, 0]
+    return positions, find_candidates(positions, TUBE), plan_lines(TUBE, CELLS, PRESETS["draft"])
+
+
+@pytest.mark.parametrize("light", [False, True])
+def test_cells_are_the_same_to_the_bit(tissue, light: bool) -> None:
+    positions, sides, lines = tissue
+    plain, ours = (
+        jax.jit(lambda *arguments: measure_cells(*arguments)[0], compiler_options=told)(
+            positions, TUBE, lines, sides
+        )
+        for told in ({}, options(light))
+    )
+    for name in ("volume", "lateral_area"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(plain, name))
+    exact = exact_cells(positions.astype(float), TUBE, 20)
+    for name, bar in (("volume", 0.005), ("lateral_area", 0.03)):  # those of `draft`
+        found, true = np.asarray(getattr(ours, name)), getattr(exact, name)
+        assert np.sqrt(np.mean((found - true) ** 2)) < bar * true.mean()
+
+
+@pytest.mark.parametrize("light", [False, True])
+def test_the_angle_of_any_tangent(dtype, light: bool) -> None:
+    tangent = np.tan(np.linspace(-1.57, 1.57, 4097)).astype(dtype)
+    tangent = np.concatenate([tangent, np.array([0, 1e-18, -1e9], dtype)])
+    found = jax.jit(arctan, compiler_options=options(light))(tangent)
+    np.testing.assert_allclose(found, np.arctan(tangent.astype(float)), rtol=6e-7)  # 5 roundings of float32
