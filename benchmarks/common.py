@@ -42,7 +42,11 @@ def output(description: str, name: str) -> Path:
 def write(path: Path, results: dict[str, Any]) -> None:
     """Write results with what they were taken with."""
     commit = subprocess.run(
-        ["git", "rev-parse", "HEAD"], cwd=HERE, capture_output=True, text=True, check=False
+        ["git", "describe", "--always", "--abbrev=40", "--dirty"],
+        cwd=HERE,
+        capture_output=True,
+        text=True,
+        check=False,
     ).stdout.strip()
     path.parent.mkdir(parents=True, exist_ok=True)
     made_by = provenance() | {"processor": processor(), "commit": commit}

@@ -56,7 +56,8 @@ def our_sweeps(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> dict[st
     seconds = [record.seconds for record in records]
     energies = [record.energy for record in records]
     typical = float(np.mean(seconds[WARM_UP:]))
-    return {"sweep": typical, "first_sweep": seconds[0], "energies": energies, "trail": trail}
+    row = {"sweep": typical, "first_sweep": seconds[0], "energies": energies, "trail": trail}
+    return row | {"largest_drift": max(record.drift for record in records)}
 
 
 def fine_energy(place: Any, tube: jt.Tube) -> float:

@@ -107,12 +107,16 @@ def test_a_run_goes_on_to_the_bit(start) -> None:
 
 
 def test_energy_falls_and_nothing_is_compiled_after_the_first_span(start) -> None:
+    events = []
+    jax.monitoring.register_event_duration_secs_listener(lambda name, *_, **__: events.append(name))
     run = annealer(20)
     first = run.record(start)
     state, rows, _ = run.advance(start)
-    programs = set(PROGRAMS)
+    programs, _ = set(PROGRAMS), events.clear()
     _, more = play(run, state)
-    assert set(PROGRAMS) == programs
+    assert set(PROGRAMS) == programs and not [name for name in events if "compile" in name or "trace" in name]
+    jax.jit(lambda number: number + 1)(1)
+    assert [name for name in events if "compile" in name] and [name for name in events if "trace" in name]
     rows += more
     assert (first.sweep, first.rounds, first.collisions, first.seconds) == (0, 0, 0, 0.0)
     assert rows[-1].energy < 0.6 * first.energy
@@ -120,7 +124,24 @@ def test_energy_falls_and_nothing_is_compiled_after_the_first_span(start) -> Non
     for row in rows:
         assert row.energy == pytest.approx(row.volume_energy + row.area_energy, rel=1e-5)  # float32
         assert 0 < row.acceptance < 1 and row.temperature == 0.5 and row.rounds >= 1
-        assert row.drift < 1e-4  # float32
+        assert row.drift < 1e-5  # float32
+
+
+def test_places_too_coarse_for_the_moves_are_told() -> None:
+    tube = Tube(200_000.0, 1.0, 10.0)  # as of a million cells
+    run = Annealer(tube_model(tube, 10**6), PRESETS["draft"], "is-mh", 0, constant_schedule(1.0, 1))
+    with pytest.warns(
+        UserWarning, match=r"0.016 apart in float32, and moves are of 0.16 at most; use 64 bits"
+    ):
+        run.start(np.ones((10**6, 2)))
+
+
+def test_starting_again_from_an_array_that_was_overwritten() -> None:
+    place = np.array(TUBE.random_positions(jax.random.key(0), CELLS), np.float32)
+    run = annealer()
+    run.record(run.start(place))
+    place[:] = TUBE.random_positions(jax.random.key(1), CELLS)
+    assert run.record(run.start(place)) == annealer().record(annealer().start(place))
 
 
 def test_tubes_of_other_sizes_need_no_program_of_their_own(start) -> None:
@@ -181,7 +202,7 @@ def test_the_number_of_candidates_does_not_matter(x64, monkeypatch) -> None:
 @pytest.mark.parametrize("conflicts", CONFLICTS)
 def test_every_rule_of_independence_runs(start, conflicts: str) -> None:
     _, (row,) = play(annealer(1, conflicts=conflicts), start)
-    assert row.energy < annealer().record(start).energy and row.drift < 1e-4  # float32
+    assert row.energy < annealer().record(start).energy and row.drift < 1e-5  # float32
     if conflicts in ("4-hop", "8-phi"):
         assert row.collisions == 0
     if conflicts == "8-phi":
@@ -191,7 +212,7 @@ def test_every_rule_of_independence_runs(start, conflicts: str) -> None:
 def test_classical_mh_visits_one_by_one(start) -> None:
     _, (row,) = play(annealer(1, algorithm="mh"), start)
     assert (row.rounds, row.collisions) == (CELLS, 0)
-    assert row.energy < annealer().record(start).energy and row.drift < 1e-4  # float32
+    assert row.energy < annealer().record(start).energy and row.drift < 1e-5  # float32
 
 
 @pytest.mark.parametrize("cells, ratio", [(1, 3), (70, 200)])
@@ -203,7 +224,7 @@ def test_the_smallest_tissues_and_the_narrowest_lumen(cells: int, ratio: float) 
     state, rows = play(run, state)
     assert state.positions.shape == (cells, 2) and np.isfinite(state.positions).all()
     assert state.positions[:, 0].min() >= 0 and state.positions[:, 0].max() <= 20
-    assert all(row.drift < 1e-4 for row in rows)  # float32
+    assert all(row.drift < 1e-5 for row in rows)  # float32
     if cells == 1:
         assert first.area_energy == 0.0 and rows[-1].acceptance == 1.0
     if cells == 70:

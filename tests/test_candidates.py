@@ -9,13 +9,13 @@ from jaxtissue.candidates import (
     NEAREST,
     contact_graph,
     find_candidates,
+    find_defect,
     least,
     linked,
     nearest,
     padded,
     sided,
     spacing,
-    tiling_defect,
 )
 from jaxtissue.cells import measure_cells
 from jaxtissue.energy import tube_model
@@ -155,8 +155,8 @@ def test_one_rival_left_out_shows_in_the_tiling(tissue) -> None:
     # a cell of the last block, which is padded, loses all who stop it
     cell = CELLS - 1
     lists = np.where(touched[cell], cell, sides[cell])
-    assert tiling_defect(positions, TUBE, np.r_[sides[:-1], lists[None]]) > 1e-3
-    assert tiling_defect(positions, TUBE, sides) < 1e-5  # float32, measured 1.2e-6
+    assert find_defect(positions, TUBE, np.r_[sides[:-1], lists[None]]) > 1e-3
+    assert find_defect(positions, TUBE, sides) < 1e-5  # float32, measured 1.2e-6
 
 
 @pytest.mark.parametrize("n, ratio", [(1, 3), (2, 3), (3, 3), (40, 3), (300, 3), (70, 200)])
@@ -165,7 +165,7 @@ def test_lists_are_complete(n: int, ratio: float) -> None:
     positions = tube.random_positions(jax.random.key(3), n)
     sides = find_candidates(positions, tube)
     assert sides.shape[:2] == (n, 2)
-    assert tiling_defect(positions, tube, jnp.asarray(sides)) < 1e-5  # float32 sums, measured 2e-6
+    assert find_defect(positions, tube, sides) < 1e-5  # float32 sums, measured 2e-6
 
 
 def test_the_clearest_candidates_are_left_out(tissue) -> None:
@@ -218,8 +218,8 @@ def test_few_candidates_do_for_a_while(tissue) -> None:
     moved = TUBE.reflect(positions + step)  # everyone at once by the longest move
     for count, complete in ((CANDIDATES, True), (6, False)):
         few = jnp.asarray(padded(nearest_sides(sides, clear, count), CANDIDATES))
-        assert (tiling_defect(positions, TUBE, few) < 1e-5) == complete  # float32, as of all candidates
-        assert (tiling_defect(moved, TUBE, few) < 1e-5) == complete
+        assert (find_defect(positions, TUBE, few) < 1e-5) == complete  # float32, as of all candidates
+        assert (find_defect(moved, TUBE, few) < 1e-5) == complete
 
 
 def test_who_comes_to_touch_a_cell_was_among_the_nearest(tissue) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import REFERENCES, read_reference
 
-from jaxtissue.candidates import TILES, find_candidates, sided, tiling_defect
+from jaxtissue.candidates import TILES, find_candidates, find_defect, sided
 from jaxtissue.cells import CellGeometry, measure_cells
 from jaxtissue.diagrams import measure_tissue
 from jaxtissue.exact import exact_cells
@@ -191,9 +191,9 @@ def test_alarms_ring(tissue) -> None:
     first, second = exact.pairs[np.argmax(exact.wall_area)]
     short = sides.copy()
     short[first][short[first] == second] = first
-    assert tiling_defect(positions, tube, jnp.asarray(sides)) < TILES
+    assert find_defect(positions, tube, sides) < TILES
     # the length of that wall's shadow is counted twice
-    assert tiling_defect(positions, tube, jnp.asarray(short)) > 0.01
+    assert find_defect(positions, tube, short) > 0.01
 
 
 @pytest.mark.parametrize("reach", [0.3, 1.0, 20.0])

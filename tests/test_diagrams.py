@@ -38,6 +38,19 @@ def test_surfaces_are_measured_unless_left_out(positions) -> None:
     assert float(whole.apical_area.sum()) == pytest.approx(2 * np.pi * 60, rel=2e-3)  # measured 8e-4
 
 
+def test_a_gauge_sees_all_round_a_wide_tube() -> None:
+    tube, cells = Tube(40.0, 40.0, 48.0), 800  # 70 cells round, where 16 lines would miss most
+    place, random = np.array(tube.random_positions(jax.random.key(0), cells)), np.random.default_rng(0)
+    gauge = Gauge(tube, PRESETS["draft"])
+    gauge.measure(place)
+    for _ in range(4):  # by an eighth of a cell's width
+        step = random.normal(scale=0.45, size=place.shape) / [1, 40]
+        place = np.array(tube.reflect((place + step).astype(np.float32)))
+        found = gauge.measure(place)
+        assert off(found, measure_tissue(place, tube, PRESETS["draft"], surfaces=False)[0]) < 2e-3
+    assert gauge.renewals > 1
+
+
 def test_a_gauge_measures_a_tissue_that_moves_as_from_scratch(positions) -> None:
     gauge, place, random = Gauge(TUBE, PRESETS["draft"]), positions.copy(), np.random.default_rng(0)
     for step in range(6):

@@ -81,7 +81,7 @@ def test_a_table_of_runs_with_manifest_backbones_and_picture(whole) -> None:
     terms = column(table, "volume_energy") + column(table, "area_energy")
     np.testing.assert_allclose(column(table, "energy"), terms, rtol=1e-5)  # float32
     assert ((column(table, "acceptance") > 0) & (column(table, "acceptance") < 1)).all()
-    assert (column(table, "drift") < 1e-4).all() and (column(table, "seconds") > 0).all()  # float32
+    assert (column(table, "drift") < 1e-5).all() and (column(table, "seconds") > 0).all()  # float32
     assert (column(table, "neighbors") > 3).all() and (column(table, "open_ends") == 0).all()
     assert column(table, "scutoid_fraction").max() > 0
     manifest = json.loads((whole / "manifest.json").read_text())

@@ -43,6 +43,13 @@ def test_backbones_read_back_exactly(tmp_path, dtype, named):
 def test_any_angle_is_wrapped(table):
     read = io.read_backbones(table("axial,angle\n0,-1\n50,7\n100,-1e-20\n"), TUBE)
     assert read.positions[:, 1].tolist() == [2 * math.pi - 1, 7 - 2 * math.pi, 0.0]
+    with pytest.warns(UserWarning, match="angles up to 200: they are taken as radians"):
+        io.read_backbones(table("axial,angle\n0,-1\n50,200\n"), TUBE)
+
+
+def test_names_are_read_back_from_a_table_that_was_written(table):
+    text = "cell,axial,angle,name\n0,1,2,left\n1,3,2,right\n"
+    assert io.read_backbones(table(text), TUBE).names == ("left", "right")
 
 
 def test_headers_of_spreadsheets_are_understood(table):
@@ -68,6 +75,7 @@ BAD_FILES = {
     f"axial,angle\n5,0\n5,{-1e-9!r}\n": "lines 2 and 3",
     "axial,angle,cell\n5,1,a\n6,1,\n": "line 3: cell is empty",
     "axial,angle,cell\n5,1,a\n6,1,a\n": "line 3: cell='a' is also on line 2",
+    "axial,angle\n1,2\n3,1,7\n": "line 3 has more than the 2 columns",
     b"axial,angle\n\xff,1\n": "not UTF-8",
 }
 

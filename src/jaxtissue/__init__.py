@@ -10,7 +10,7 @@ True
 
 from jaxtissue.anneal import Annealer, AnnealState, advance_together, record_together
 from jaxtissue.backbones import Backbones, distance_between_segments, distance_to_segment
-from jaxtissue.candidates import find_candidates, sided, tiling_defect
+from jaxtissue.candidates import check_angles, find_candidates, sided, tiling_defect
 from jaxtissue.cells import CellGeometry, measure_cells
 from jaxtissue.changes import TissueState, tissue_state
 from jaxtissue.contacts import Contacts, find_contacts
@@ -68,6 +68,7 @@ __all__ = [
     "bound_ratios",
     "cartesian_voxels",
     "cells_for_unit_volume",
+    "check_angles",
     "constant_schedule",
     "covering_radius",
     "cylindrical_voxels",

@@ -15,7 +15,7 @@ from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.coloring import CONFLICTS
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines, Resolution
-from jaxtissue.metropolis import draw
+from jaxtissue.metropolis import draw, warn_of_coarse_places
 from jaxtissue.programs import Ahead, Asker, Request, Task, run_together
 from jaxtissue.records import Measured, SweepRecord, least_around, shortlisted, sweep_record
 from jaxtissue.rounds import independent_rounds, one_by_one, padded_orders, round_width
@@ -86,8 +86,13 @@ class Annealer:
         return self._asker.compile_seconds
 
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
-        """The state before the first sweep."""
-        return AnnealState(0, np.asarray(positions, jnp.result_type(float)))
+        """The state before the first sweep.
+
+        Warns where axial places are too coarse for the moves in this precision.
+        """
+        own = np.array(positions, jnp.result_type(float))  # a copy, as results are kept by array
+        warn_of_coarse_places(self.model, len(own), own.dtype)
+        return AnnealState(0, own)
 
     def record(self, state: AnnealState) -> SweepRecord:
         """The row of a state as it is, such as the initial one."""

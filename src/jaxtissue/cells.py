@@ -15,7 +15,7 @@ from jaxtissue.tube import Tube
 from jaxtissue.views import Posts, pick, posts, see_rivals, see_window
 from jaxtissue.walls import END, Walls, stop, strips, walls
 
-BLOCK = 48  # cells measured at once: whole vectors of 8 and of 16; rows of 64 or 128 evict each other from the cache
+BLOCK = 48  # cells measured at once, whole vectors of 16; of 64 or 128 rows evict each other from the cache
 
 
 class CellGeometry(eqx.Module):

@@ -2,6 +2,7 @@
 
 import sys
 import time
+import warnings
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -43,11 +44,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         work = {"anneal": anneal, "sweep": sweep, "measure": measure, "compare": compare}
         work |= {"reproduce": reproduce_paper, "info": info}
         keep_compiled()
+        warnings.formatwarning = lambda message, *_, **__: f"jaxtissue: warning: {message}\n"
         return work[arguments.pop("command")](arguments)
     except ValueError as error:
         return _fail(error, 2)
     except OSError as error:
         return _fail(error, 1)
+    except MemoryError as error:
+        return _fail(f"out of memory ({error}); take fewer cells", 1)
     except KeyboardInterrupt:
         return _fail("stopped by Ctrl-C; what was saved before can be resumed", 130)
 

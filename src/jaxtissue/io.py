@@ -5,6 +5,7 @@ import json
 import math
 import os
 import platform
+import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -64,9 +65,11 @@ def make_folder(folder: Path, outdated: Sequence[str] = ()) -> None:
 def read_backbones(path: Path, tube: Tube) -> BackboneTable:
     """The backbones of a CSV file with the columns `axial`, `angle` (radians) and perhaps `cell` (a name).
 
-    Angles are wrapped, other columns left aside. Raises `ValueError`, naming file, line, value and fix, for a
-    file that is empty or not UTF-8, a missing column, no cells, coordinates that are not finite or outside
-    the tube, names that are empty or repeated, and backbones that are one in the precision JAX works in.
+    A table that was written has names as `name`, which then counts. Angles are wrapped, with a warning of
+    those beyond two turns, other columns left aside. Raises `ValueError`, naming file, line, value and fix,
+    for a file that is empty or not UTF-8, a missing column, a line with too many, no cells, coordinates that
+    are not finite or outside the tube, names that are empty or repeated, and backbones that are one in the
+    precision JAX works in.
     """
     columns, rows = _read_rows(path)
     for name in ("axial", "angle"):
@@ -81,9 +84,12 @@ def read_backbones(path: Path, tube: Tube) -> BackboneTable:
         if not 0 <= value <= length:
             raise ValueError(f"{path} line {line}: axial={value} is outside the tube; give 0 to {length}")
     positions = np.stack([axial, angle], axis=-1)
+    if (largest := np.abs(positions[:, 1]).max()) > 4 * math.pi:
+        warnings.warn(f"{path} has angles up to {largest:g}: they are taken as radians", stacklevel=2)
     positions[:, 1] = np.mod(positions[:, 1], 2 * math.pi) % (2 * math.pi)
     _refuse_twins(path, lines, positions, length)
-    return BackboneTable(positions, _read_names(path, rows) if "cell" in columns else None)
+    named = next((column for column in ("name", "cell") if column in columns), None)
+    return BackboneTable(positions, _read_names(path, rows, named) if named else None)
 
 
 def _read_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str | None]]]]:
@@ -93,6 +99,9 @@ def _read_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str | N
             reader = csv.DictReader(file, skipinitialspace=True)
             columns = reader.fieldnames = [name.strip() for name in reader.fieldnames or []]
             rows = [(reader.line_num, row) for row in reader]
+        for line, row in rows:
+            if any(row.pop(None, ())):  # type: ignore[call-overload]
+                raise ValueError(f"{path} line {line} has more than the {len(columns)} columns; correct it")
     except UnicodeDecodeError as error:
         raise ValueError(f"{path} is not UTF-8 text (byte {error.start}); save it as CSV in UTF-8") from error
     except csv.Error as error:
@@ -129,14 +138,16 @@ def _refuse_twins(path: Path, lines: list[int], positions: Float[np.ndarray, "n 
         raise ValueError(f"{path} {found}; remove one{single}")
 
 
-def _read_names(path: Path, rows: list[tuple[int, dict[str, str | None]]]) -> tuple[str, ...]:
+def _read_names(path: Path, rows: list[tuple[int, dict[str, str | None]]], column: str) -> tuple[str, ...]:
     seen: dict[str, int] = {}
     for line, row in rows:
-        name = (row["cell"] or "").strip()
+        name = (row[column] or "").strip()
         if not name:
-            raise ValueError(f"{path} line {line}: cell is empty; name the cell or leave the column out")
+            raise ValueError(f"{path} line {line}: {column} is empty; name the cell or leave the column out")
         if name in seen:
-            raise ValueError(f"{path} line {line}: cell={name!r} is also on line {seen[name]}; rename one")
+            raise ValueError(
+                f"{path} line {line}: {column}={name!r} is also on line {seen[name]}; rename one"
+            )
         seen[name] = line
     return tuple(seen)
 

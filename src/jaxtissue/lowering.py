@@ -33,11 +33,11 @@ def settled(compute: Callable[[], T], truth: Array) -> T:
 
 
 def options(light: bool = False) -> dict[str, str | bool]:
-    """Options for a CPU's compiler: the widest vectors that the processor has; and if `light`, less optimized.
+    """Options for a CPU's compiler: the widest vectors that the processor has; if `light`, less optimized.
 
-    Vectors of 512 bits instead of XLA's 256 save a quarter of a sweep where there are some, and change nothing
-    elsewhere. What runs seldom, as what is seen and checked of a tissue, is compiled in half of the time if
-    `light`, and takes up to 4 % longer; sweeps would take a fifth longer.
+    Vectors of 512 bits instead of XLA's 256 save a quarter of a sweep where there are some, and change
+    nothing elsewhere. What runs seldom, as what is seen and checked of a tissue, is compiled in half of the
+    time if `light`, and takes up to 4 % longer; sweeps would take a fifth longer.
     """
     wide: dict[str, str | bool] = {"xla_cpu_prefer_vector_width": "512"}
     less: dict[str, str | bool] = {

@@ -4,6 +4,7 @@ Classical MH is the same sweep with one move a round. A move's draws depend on s
 both take the same decisions when they visit the cells in the same order.
 """
 
+import warnings
 from typing import NamedTuple
 
 import jax
@@ -28,6 +29,8 @@ from jaxtissue.energy import Model
 from jaxtissue.lines import Lines
 from jaxtissue.lowering import PUT, taken
 from jaxtissue.views import Posts, posts
+
+COARSE = 0.02  # of the longest move
 
 
 class SweepInfo(NamedTuple):
@@ -73,6 +76,14 @@ def propose(draws: Float[Array, "2 n"], place: Posts, model: Model) -> Posts:
 def move_bound(model: Model, cells: int) -> Float[Array, ""]:
     """Longest move on the apical surface, 0.25 sqrt(2 R_a L / n)."""
     return 0.25 * (2 * model.tube.apical_radius * model.tube.length / cells) ** 0.5
+
+
+def warn_of_coarse_places(model: Model, cells: int, dtype: np.dtype) -> None:
+    """Warn where axial places are so far apart in this precision that moves are rounded by COARSE or more."""
+    apart, longest = float(np.spacing(dtype.type(model.tube.length))), float(move_bound(model, cells))
+    if apart > COARSE * longest:
+        told = f"axial places are {apart:.2g} apart in {dtype}, and moves are of {longest:.2g} at most"
+        warnings.warn(f"{told}; use 64 bits (--x64)", stacklevel=3)
 
 
 def sweep(

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtissue.candidates import TILES, candidate_lists, tiling_defect
+from jaxtissue.candidates import TILES, candidate_lists, check_angles, tiling_defect
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.metropolis import move_bound
@@ -66,7 +66,7 @@ class Surveyor:
         tube, n, ask = self._model.tube, len(positions), self._asker.ask
         margin = MARGIN * float(move_bound(self._model, n))
         for sides, has_all in candidate_lists(positions, tube, margin):
-            call = positions, tube, sides
+            call = positions, tube, sides, check_angles(tube, n)
             if self._last is None:
                 if not has_all:  # first, as it is the first that is asked for
                     yield from ask(Ahead(tiling_defect, call, seldom=True))
