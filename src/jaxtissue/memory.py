@@ -8,9 +8,9 @@ from jaxtissue.rounds import ROUNDS
 from jaxtissue.shortlists import shortlist_length
 from jaxtissue.tube import Tube
 
-BASE = 670e6  # bytes of Python, JAX and the compiled programs, whatever the tissue
+BASE = 650e6  # bytes of Python, JAX and the compiled programs, whatever the tissue
 LOOKS = 2  # measured states kept at once: at the begin and at the end of a span
-SCRATCH = 2.9  # bytes that are allocated at the peak for each that is counted here, fitted
+SCRATCH = 2.0  # bytes that are allocated at the peak for each that is counted here, fitted
 
 
 def estimate_memory(
@@ -20,11 +20,11 @@ def estimate_memory(
 
     base + replicas n (2 looks + lists + state + one round's tables): a look has for each of 2 x 56 candidates
     its number, on host and device, its clearance, and two flags, and the reach on each line. Fitted to
-    peaks by `draft` on one CPU from random backbones: 577, 732, 1,365 and 2,461 MiB at n = 500, 5,000, 50,000
+    peaks by `draft` on one CPU from random backbones: 612, 682, 1,429 and 2,038 MiB at n = 500, 5,000, 50,000
     and 100,000.
 
     >>> tube = Tube(length=1000, apical_radius=1, basal_radius=10)
-    >>> print(describe_bytes(estimate_memory(5000, tube, Resolution(3, 3))))
+    >>> print(describe_bytes(estimate_memory(5000, tube, Resolution(4, 4))))
     0.8 GB
     """
     reach = 2 * plan_lines(tube, cells, resolution).row * float_bytes
