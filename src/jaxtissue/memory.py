@@ -25,7 +25,7 @@ def estimate_memory(
 
     >>> tube = Tube(length=1000, apical_radius=1, basal_radius=10)
     >>> print(describe_bytes(estimate_memory(5000, tube, Resolution(4, 4))))
-    0.8 GB
+    0.7 GB
     """
     reach = 2 * plan_lines(tube, cells, resolution).row * float_bytes
     listed = 2 * A_SIDE
