@@ -23,14 +23,15 @@ import numpy as np
 
 import jaxtissue as jt
 from jaxtissue.anneal import SPAN
+from jaxtissue.lowering import options
 
 CELLS, REPLICAS = (500, 10_000, 100_000, 1_000_000), (1, 64, 1024)
 DRAFT = jt.PRESETS["draft"]
 FLOPS = 13  # of `views.meeting`: the sagitta 4, the foot 1, the square 6, the reach 2
-BYTES = 15_000  # memory that a cell takes in a sweep, its candidates most of it (see scale.py)
+BYTES = 17_000  # memory that a cell takes in a sweep, its candidates most of it (see scale.py)
 SWEEPS = 3 * SPAN
 AGREE = 1e-4  # of the mean cell: as far as two devices may differ in one cell, in float32
-_measure = jax.jit(jt.measure_cells)
+_measure = jax.jit(jt.measure_cells, compiler_options=options())
 
 
 def seconds_of(call: Callable[[], Any], repeats: int = 5) -> float:
