@@ -73,9 +73,10 @@ def run_grid(folder: Path, grid: Grid, part: Part, force: bool = False, batch: i
         mine = part.share(range(len(rows)))
         missing = run.missing(mine)
         _say(f"{len(rows)} rows in {folder}; {len(mine) - len(missing)} of this part's {len(mine)} are done")
+        batch = batch or usual_batch()
         if missing:
-            _say(_memory([rows[number] for number in missing], batch or usual_batch()))
-        if _anneal(run, missing, batch or usual_batch()) and (not part.joined or _await_others(run)):
+            _say(_memory([rows[number] for number in missing], batch))
+        if _anneal(run, missing, batch) and (not part.joined or _await_others(run)):
             return _finish(run)
     assert stop.signal is not None
     _say(f"stopped by {stop.signal.name}; what is done is kept, and the same command goes on")
@@ -84,7 +85,7 @@ def run_grid(folder: Path, grid: Grid, part: Part, force: bool = False, batch: i
 
 def _memory(rows: Sequence[Settings], batch: int) -> str:
     """What the largest rows will take together."""
-    largest = max(rows, key=lambda row: row.cells or 0)
+    largest = max(rows, key=lambda row: row.cells)
     resolution, float_bytes = resolution_named(largest.resolution), 8 if largest.x64 else 4
     return tell_memory(largest.cells, largest.tube, resolution, float_bytes, min(batch, len(rows)))
 

@@ -64,9 +64,9 @@ class Surveyor:
     def _find(self, positions: Positions, expected: Expected) -> Task[Sides]:
         """Complete candidate lists."""
         tube, n, ask = self._model.tube, len(positions), self._asker.ask
-        margin = MARGIN * float(move_bound(self._model, n))
+        margin, angles = MARGIN * float(move_bound(self._model, n)), check_angles(tube, n)
         for sides, has_all in candidate_lists(positions, tube, margin):
-            call = positions, tube, sides, check_angles(tube, n)
+            call = positions, tube, sides, angles
             if self._last is None:
                 if not has_all:  # first, as it is the first that is asked for
                     yield from ask(Ahead(tiling_defect, call, seldom=True))
