@@ -22,7 +22,7 @@ from jaxtissue.tube import Tube
 from jaxtissue.views import LEVEL, pick, posts, see_rivals, see_turned
 from jaxtissue.walls import least_reach
 
-NEAREST = 96  # backbones that are candidates of each cell, unless it needs more
+NEAREST = 112  # backbones that are candidates of each cell, unless it needs more
 A_SIDE = 56  # of them at most on one side, where cells at the ends of the tube have all
 ROWS = 128  # cells compared at once: tables that fit the cache
 TILES = 1e-5  # relative defect of the lengths along a line above which lists are taken as incomplete

@@ -17,7 +17,7 @@ from jaxtissue.cells import BLOCK, Survey, measure_cells
 from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.lowering import larger, settled, smaller, taken
 from jaxtissue.tube import Tube
-from jaxtissue.views import FAR, Grid, meeting, pick, posts, see_lines, see_others
+from jaxtissue.views import FAR, Grid, Rivals, meeting, pick, posts, see_lines, see_others
 
 CANDIDATES = 22  # on each side of a cell: three times as many as bound it
 FEW = 500  # cells for which these do; of more, one lacks a candidate as seldom if all have more
@@ -46,7 +46,8 @@ def clearance(
     least. To that are added the squares of how far the cell is from the line if it were not for those who
     stop it, since it may get there, and, at a weight of STAYS, of how far the candidate is from where the
     cell stops now. Those listed on the side where they are not yet are taken at the mirrored place, farther
-    by the way to that side, at a weight of ACROSS. Who is far from stopping a cell now will be for a while.
+    by the way to that side, at a weight of ACROSS. All is multiplied by the distance of the two backbones,
+    since far from them first orders hold less far. Who is far from stopping a cell now will be for a while.
     """
     n, dtype = len(positions), positions.dtype
     width = min(n, BLOCK)
@@ -89,22 +90,33 @@ def clearance(
 
         least, _ = jax.lax.scan(nearer, jnp.full(rivals.half.shape, jnp.inf, dtype), grid)
         beyond = larger(jnp.array([[1], [-1]]) * (others.axial - own.axial), 0.0)  # not yet on that side
-        least = jnp.maximum(least + ACROSS * beyond**2, TINY)
+        least = jnp.maximum((least + ACROSS * beyond**2) * distance(rivals, tube), TINY)
         return jnp.where(rivals.half < FAR, least, jnp.inf).transpose(2, 1, 0)
 
     least = jax.lax.map(block, width * jnp.arange(blocks))
     return least.reshape(blocks * width, *sides.shape[1:])[:n]
 
 
-def shortlist_length(cells: int) -> int:
-    """How many candidates a side cells have for some sweeps: 22, and 3 more for each tenfold of cells.
+def distance(rivals: Rivals, tube: Tube) -> Array:
+    """From backbones to rivals, the least over three radii in units of the square root of these."""
 
-    If one cell lacks one, the sweeps of all are played again: with three more, about ten times as seldom.
+    def square(radius: Array) -> Array:
+        above = larger(tube.apical_radius - radius * (1 - rivals.versine), 0.0)  # foot is the apical end
+        return (4 * rivals.half**2 + above**2) / radius + radius * rivals.sine**2
+
+    middle = jnp.sqrt(tube.apical_radius * tube.basal_radius)
+    return jnp.sqrt(functools.reduce(smaller, map(square, (tube.apical_radius, middle, tube.basal_radius))))
+
+
+def shortlist_length(cells: int) -> int:
+    """How many candidates a side cells have for some sweeps: 22, and 5 more for each tenfold of cells.
+
+    If one cell lacks one, the sweeps of all are played again: with five more, ten times as seldom or so.
 
     >>> shortlist_length(500), shortlist_length(50_000)
-    (22, 28)
+    (22, 32)
     """
-    return CANDIDATES + 3 * max(0, math.ceil(math.log10(cells / FEW)))
+    return CANDIDATES + 5 * max(0, math.ceil(math.log10(cells / FEW)))
 
 
 def nearest_sides(
