@@ -116,7 +116,7 @@ class Worker:
         command, cores = [sys.executable, __file__], 1 if pinned else os.cpu_count()
         if pinned:
             command = ["taskset", "-c", "0", *command]
-        environment = os.environ | {"JAX_NUM_CPU_DEVICES": str(cores)}
+        environment = os.environ | {"JAX_NUM_CPU_DEVICES": str(cores), "NPROC": "1"}
         pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
         self._process = subprocess.Popen(command, env=environment, **pipes)
 

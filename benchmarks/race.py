@@ -1,6 +1,6 @@
 """One diagram and one sweep side by side with the C++ peer, on the paper's Table 1 (L = 100, R_b = 10).
 
-Ours uses the whole machine, lists and coloring counted in; the peer one thread. Its IS-MH makes whole
+Everybody has one thread. Ours counts lists and coloring in. The peer's IS-MH makes whole
 diagrams, as the paper does, by the rule of two hops; its incremental MH changes one live triangulation. All
 start from the same random tissue and play as many sweeps as fit the budget. Energies are compared after equal
 sweeps: by `fine` on the backbones where a program tells them, else by its own measure.
@@ -177,6 +177,7 @@ def main() -> None:
         "--resolutions", nargs="+", default=RESOLUTIONS, help="of ours; energies are those of the first"
     )
     arguments = parser.parse_args()
+    jt.use_cores(1)
     peer, results = find_peer(arguments.peer), []
     for radius, n in product((1.0, 5.0), (500,) if arguments.quick else (100, 500, 1000)):
         results.append(race(radius, n, peer, arguments))

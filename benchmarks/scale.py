@@ -24,6 +24,7 @@ FEW = 5000  # cells; of fewer more tissues are annealed, as many moves in all
 
 def run(cells: int, sweeps: int, resolution: str) -> dict[str, Any]:
     """Anneal one tube of `cells` / 5 length; memory counted from before the tissue is made."""
+    jt.use_cores(1)
     tube = jt.Tube(cells / 5, 1.0, 10.0)
     model, size = jt.tube_model(tube, cells), jt.resolution_named(resolution)
     before, begin, first, timed = common.peak_memory_mb(), time.perf_counter(), None, []

@@ -28,6 +28,7 @@ from jaxtissue.shortlists import (
     TOUCHES,
     around,
     both_views,
+    distances,
     find_unlisted,
     from_both,
     list_first,
@@ -60,8 +61,15 @@ def looked_at(positions) -> tuple[np.ndarray, np.ndarray]:
     """Candidates, and how clear they are."""
     sides = find_candidates(positions, TUBE, MARGIN * BOUND)
     lines = plan_lines(TUBE, CELLS, PRESETS["draft"]), sight_lines(TUBE, CELLS, PRESETS["draft"])
-    _, clear = jax.jit(look)(positions, tube_model(TUBE, CELLS), lines, sides)
+    _, clear, _ = jax.jit(look)(positions, tube_model(TUBE, CELLS), lines, sides)
     return sides, from_both(np.asarray(clear), both_views(sides))
+
+
+def test_distances_are_those_by_which_the_nearest_are_found(tissue) -> None:
+    positions, sides = tissue[:2]
+    own = np.broadcast_to(np.arange(CELLS)[:, None, None], sides.shape)
+    known = np.sqrt(spacing(np.asarray(positions), own, sides, TUBE))
+    np.testing.assert_allclose(distances(positions, TUBE, sides), known, rtol=1e-4, atol=1e-5)
 
 
 def listed(lists: np.ndarray) -> np.ndarray:

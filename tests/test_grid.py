@@ -13,7 +13,7 @@ import pytest
 from test_cli import column, read_table, restore_precision, without_seconds  # noqa: F401
 
 import jaxtissue
-from jaxtissue import batches, cli, io
+from jaxtissue import batches, io
 from jaxtissue.batches import anneal_batch
 from jaxtissue.cli import main
 from jaxtissue.cluster import Part, slurm_part
@@ -263,4 +263,12 @@ def test_batches_are_alike_in_cells() -> None:
     rows = list(enumerate(Grid({"cells": [5, 6], "seed": [0, 1, 2]}).rows))
     numbers = [[number for number, _ in batch] for batch in batches.batches(rows, 2)]
     assert numbers == [[0, 1], [2], [3, 4], [5]]
-    assert cli.use_cores(1) is None  # too late: JAX has computed, and that is no error
+
+
+@pytest.mark.parametrize(("threads", "found"), [({}, "1"), ({"NPROC": "3"}, "3")])
+def test_each_core_gets_one_thread_unless_told(threads: dict, found: str) -> None:
+    told = "import os, jax, jaxtissue as jt; jt.use_cores(1); print(jax.device_count(), os.environ['NPROC'])"
+    told += "; jt.use_cores(2)"  # too late: JAX has computed, and that is no error
+    rest = {name: value for name, value in os.environ.items() if name not in ("NPROC", "XLA_FLAGS")}
+    done = subprocess.run([sys.executable, "-c", told], env=rest | threads, capture_output=True, text=True)
+    assert done.stdout.split() == ["1", found], done.stderr

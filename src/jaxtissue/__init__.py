@@ -13,6 +13,7 @@ from jaxtissue.backbones import Backbones, distance_between_segments, distance_t
 from jaxtissue.candidates import check_angles, find_candidates, sided, tiling_defect
 from jaxtissue.cells import CellGeometry, measure_cells
 from jaxtissue.changes import TissueState, tissue_state
+from jaxtissue.cluster import use_cores
 from jaxtissue.contacts import Contacts, find_contacts
 from jaxtissue.diagrams import Gauge, measure_tissue
 from jaxtissue.edges import trace_edges
@@ -107,5 +108,6 @@ __all__ = [
     "trace_edges",
     "tube_model",
     "tube_neighbor_bound",
+    "use_cores",
     "volume_elasticity",
 ]

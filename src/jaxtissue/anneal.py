@@ -135,7 +135,7 @@ class Annealer:
         halves, with lists renewed between them, where there was no room for it.
         """
         measured = yield from self._measure(state)
-        sides, clear = measured.sides.copy(), measured.clear.copy()
+        sides, clear = measured.sides.copy(), measured.urgency()
         while True:
             near = shortlisted(sides, clear, state.around)
             after, trail = yield from self._play_on(near, state, measured, plan[:sweeps])

@@ -58,6 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def anneal(arguments: dict[str, Any]) -> int:
     """Anneal a tissue into a folder, or take up a run there."""
+    use_cores(1)
     folder, force, resume = (arguments.pop(name) for name in ("out", "force", "resume"))
     if resume:
         settings = saved_settings(folder, arguments)

@@ -56,10 +56,13 @@ def slurm_part(environment: Mapping[str, str] = os.environ) -> Part:
 
 
 def use_cores(most: int) -> None:
-    """Let JAX see each processor core as a device, at most so many.
+    """Let JAX see each processor core as a device, at most so many, each with one thread.
 
-    Unless JAX_NUM_CPU_DEVICES says how many, or JAX has computed anything yet.
+    A sweep is one small loop after another, over which threads wait for each other: two of them take a tenth
+    longer than one, now and then twice as long. Nothing changes where JAX_NUM_CPU_DEVICES and NPROC say how
+    many there are, or JAX has computed anything yet.
     """
+    os.environ.setdefault("NPROC", "1")  # threads of XLA, which reads it when it starts
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     forced = "device_count" in os.environ.get("XLA_FLAGS", "")
     if forced or getattr(jax.config, "jax_num_cpu_devices", -1) > 0:

@@ -15,15 +15,20 @@ AROUND = 56  # who may be around a cell that has CANDIDATES on each side: room e
 
 
 class Measured(NamedTuple):
-    """A state measured: its cells, the candidates of each, and how clear of it these are."""
+    """A state measured: its cells, the candidates of each, and how clear of it and how far away these are."""
 
     tissue: TissueState
     sides: Int[np.ndarray, "n 2 candidates"]
     clear: Float[np.ndarray, "n 2 candidates"]
+    far: Float[np.ndarray, "n 2 candidates"]
 
     def contacts(self, within: float = 0.0) -> sparse.csr_array:
         """Who stops whom, or could if one of them were moved by at most `within`: [n, n], symmetric."""
         return contact_graph(self.sides, self.clear <= (within**2 if within else TOUCHES))
+
+    def urgency(self) -> Float[np.ndarray, "n 2 candidates"]:
+        """By which shortlists are drawn up, the least first: clearances hold less long of who is farther."""
+        return self.clear * self.far
 
     @property
     def sizes(self) -> Float[np.ndarray, "2 1 n"]:

@@ -17,7 +17,7 @@ from jaxtissue.cells import BLOCK, Survey, measure_cells
 from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.lowering import larger, settled, smaller, taken
 from jaxtissue.tube import Tube
-from jaxtissue.views import FAR, Grid, Rivals, meeting, pick, posts, see_lines, see_others
+from jaxtissue.views import FAR, Grid, Posts, meeting, pick, posts, see_lines, see_others, turn_between
 
 CANDIDATES = 22  # on each side of a cell: three times as many as bound it
 FEW = 500  # cells for which these do; of more, one lacks a candidate as seldom if all have more
@@ -46,8 +46,7 @@ def clearance(
     least. To that are added the squares of how far the cell is from the line if it were not for those who
     stop it, since it may get there, and, at a weight of STAYS, of how far the candidate is from where the
     cell stops now. Those listed on the side where they are not yet are taken at the mirrored place, farther
-    by the way to that side, at a weight of ACROSS. All is multiplied by the distance of the two backbones,
-    since far from them first orders hold less far. Who is far from stopping a cell now will be for a while.
+    by the way to that side, at a weight of ACROSS. Who is far from stopping a cell now will be for a while.
     """
     n, dtype = len(positions), positions.dtype
     width = min(n, BLOCK)
@@ -90,22 +89,30 @@ def clearance(
 
         least, _ = jax.lax.scan(nearer, jnp.full(rivals.half.shape, jnp.inf, dtype), grid)
         beyond = larger(jnp.array([[1], [-1]]) * (others.axial - own.axial), 0.0)  # not yet on that side
-        least = jnp.maximum((least + ACROSS * beyond**2) * distance(rivals, tube), TINY)
+        least = jnp.maximum(least + ACROSS * beyond**2, TINY)
         return jnp.where(rivals.half < FAR, least, jnp.inf).transpose(2, 1, 0)
 
     least = jax.lax.map(block, width * jnp.arange(blocks))
     return least.reshape(blocks * width, *sides.shape[1:])[:n]
 
 
-def distance(rivals: Rivals, tube: Tube) -> Array:
-    """From backbones to rivals, the least over three radii in units of the square root of these."""
+def distances(
+    positions: Float[Array, "n 2"], tube: Tube, sides: Int[Array, "n 2 candidates"]
+) -> Float[Array, "n 2 candidates"]:
+    """From each backbone to its candidates, the least over three radii in units of the square root of these.
 
-    def square(radius: Array) -> Array:
-        above = larger(tube.apical_radius - radius * (1 - rivals.versine), 0.0)  # foot is the apical end
-        return (4 * rivals.half**2 + above**2) / radius + radius * rivals.sine**2
+    In mean cell widths, up to a constant factor; never 0.
+    """
+    place = posts(positions)
+    own, others = Posts(*(column[:, None, None] for column in place)), pick(place, sides)
+    gap, (versine, sine) = others.axial - own.axial, turn_between(own, others)
 
-    middle = jnp.sqrt(tube.apical_radius * tube.basal_radius)
-    return jnp.sqrt(functools.reduce(smaller, map(square, (tube.apical_radius, middle, tube.basal_radius))))
+    def square(radius: Array | float) -> Array:
+        above = larger(tube.apical_radius - radius * (1 - versine), 0.0)  # the foot is the apical end
+        return (gap**2 + above**2) / radius + radius * sine**2
+
+    radii = tube.apical_radius, jnp.sqrt(tube.apical_radius * tube.basal_radius), tube.basal_radius
+    return jnp.sqrt(functools.reduce(smaller, [square(radius) for radius in radii]) + TINY)
 
 
 def shortlist_length(cells: int) -> int:

@@ -13,7 +13,7 @@ from jaxtissue.changes import Neighborhoods, TissueState, tissue_state
 from jaxtissue.energy import Model, lateral_tension, volume_elasticity
 from jaxtissue.lines import Lines
 from jaxtissue.metropolis import Order, SweepInfo, sweep
-from jaxtissue.shortlists import see
+from jaxtissue.shortlists import distances, see
 
 
 class Trail(NamedTuple):
@@ -30,10 +30,10 @@ def look(
     model: Model,
     lines: tuple[Lines, Lines],
     sides: Int[Array, "n 2 candidates"],
-) -> tuple[TissueState, Float[Array, "n 2 candidates"]]:
-    """The state of a whole tissue, and how clear of each cell its candidates are: as `see` tells."""
+) -> tuple[TissueState, Float[Array, "n 2 candidates"], Float[Array, "n 2 candidates"]]:
+    """The state of a whole tissue, how clear of each cell its candidates are, as `see` tells, and how far."""
     seen, clear = see(positions, model.tube, lines, sides)
-    return tissue_state(positions, seen), clear
+    return tissue_state(positions, seen), clear, distances(positions, model.tube, sides)
 
 
 def play(

@@ -52,8 +52,8 @@ class Surveyor:
         answer = yield from self._asker.ask(
             Request(look, call, seldom=True, meanwhile=partial(both_views, sides))
         )
-        tissue, clear = answer.result
-        measured = Measured(tissue, sides, from_both(clear, answer.meanwhile))
+        tissue, clear, far = answer.result
+        measured = Measured(tissue, sides, from_both(clear, answer.meanwhile), far)
         self.keep(positions, measured)
         return measured
 
