@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from jaxtissue.coloring import color, distance_conflicts, hop_conflicts
+from jaxtissue.rounds import cut
 
 
 def random_graph(n: int, degree: float, seed: int) -> nx.Graph:
@@ -49,6 +50,27 @@ def test_cells_make_room_until_the_smallest_rounds_are_empty() -> None:
     # a chain taken ends first: first fit takes 3 rounds for it, unless an end makes room
     chain = hop_conflicts(matrix(nx.path_graph(4)), 1)
     assert color(chain, 4, np.array([0, 3, 1, 2])).tolist() == [[0, 2, -1, -1], [1, 3, -1, -1]]
+
+
+@given(st.integers(1, 60), st.integers(1, 9), st.integers(0, 99))
+def test_rounds_are_cut_into_stretches_of_the_tube(n: int, pieces: int, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    axial, round_of = generator.random(n), generator.integers(0, 5, n)
+    width = max(np.bincount(round_of))
+    rounds = np.full((5, width), -1)
+    for number in range(5):
+        cells = np.flatnonzero(round_of == number)
+        rounds[number, : len(cells)] = cells
+    few = cut(rounds, axial, pieces)
+    assert few.shape[1] == (width if pieces == 1 else -(-width // pieces))
+    assert sorted(few[few >= 0]) == list(range(n))
+    ends = dict.fromkeys(range(5), 0.0)
+    for row in few[(few >= 0).any(axis=1)]:
+        cells = row[row >= 0]
+        (number,) = set(round_of[cells])  # what was made in one round before is not mixed with others
+        if pieces > 1:
+            assert axial[cells].min() > ends[number]
+        ends[number] = axial[cells].max()
 
 
 def test_a_complete_graph_is_visited_one_by_one_and_an_empty_one_at_once() -> None:

@@ -50,8 +50,8 @@ class Annealer:
     `model` is what the energy depends on, `resolution` how finely cells are measured, `algorithm` "is-mh" or
     "mh". `conflicts` is the rule of move independence: "near", two moves conflict if one cell touches both
     movers, or could if one were moved as far as moves go on average; 2, 3 or 4 hops of contact; or the
-    paper's 8 phi. A run is a function of `seed` and of the state it starts from alone. Raises `ValueError`
-    for what it can't run.
+    paper's 8 phi. A run is a function of `seed`, of the state it starts from and of the kind of device alone.
+    Raises `ValueError` for what it can't run.
     """
 
     def __init__(
