@@ -20,7 +20,7 @@ def estimate_memory(
 
     base + replicas n (2 looks + lists + state + one round's tables): a look has for each of 2 x 56 candidates
     its number, on host and device, its clearance, and two flags, and the reach on each line. Fitted to
-    peaks by `draft` on one CPU from random backbones: 612, 682, 1,429 and 2,038 MiB at n = 500, 5,000, 50,000
+    peaks by `draft` on one CPU from random backbones: 561, 657, 1,506 and 2,072 MiB at n = 500, 5,000, 50,000
     and 100,000.
 
     >>> tube = Tube(length=1000, apical_radius=1, basal_radius=10)
