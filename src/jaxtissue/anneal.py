@@ -118,7 +118,7 @@ class Annealer:
         after, trail, drift = yield from self._play(state, plan, sweeps)
         taken = time.perf_counter() - begin - (self.compile_seconds - compiled)
         sizes = np.stack([trail.volume, trail.lateral_area])
-        energies = yield from self._energies(np.pad(sizes, ((0, 0), (0, SPAN - sweeps), (0, 0)), mode="edge"))
+        energies = yield from self._energies(sizes)
         rows = []
         for k in range(sweeps):
             info = jax.tree.map(lambda leaf, k=k: leaf[k], trail.info)
@@ -231,9 +231,11 @@ class Annealer:
 
     def _energies(self, sizes: Float[np.ndarray, "2 sweeps n"]) -> Task[Float[np.ndarray, "3 sweeps"]]:
         """Energy and the paper's two terms of it after each sweep, summed in double precision."""
-        request = Request(energy_terms, (CellGeometry(*sizes), self.model), seldom=True)
+        count = sizes.shape[1]
+        padded_sizes = np.pad(sizes, ((0, 0), (0, SPAN - count), (0, 0)), mode="edge")  # one program for all
+        request = Request(energy_terms, (CellGeometry(*padded_sizes), self.model), seldom=True)
         answer = yield from self._asker.ask(request)
-        return np.array([np.sum(term, axis=1, dtype=float) for term in answer.result])
+        return np.array([np.sum(term[:count], axis=1, dtype=float) for term in answer.result])
 
 
 def advance_together(
