@@ -19,6 +19,7 @@ LOOKS = (0, 1, 2, 5, 10, 20, 30, 50, 75, 100)
 
 def run(apical_radius: float) -> dict:
     """One paper tube annealed by the draft estimator, looked at by the fine one."""
+    jt.use_cores(1)
     tube = jt.Tube(100, apical_radius, 10)
     model = jt.tube_model(tube, 500)
     initial = tube.random_positions(jax.random.key(0), 500)
