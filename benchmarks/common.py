@@ -41,17 +41,21 @@ def output(description: str, name: str) -> Path:
 
 def write(path: Path, results: dict[str, Any]) -> None:
     """Write results with what they were taken with."""
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--abbrev=40", "--dirty"],
-        cwd=HERE,
-        capture_output=True,
-        text=True,
-        check=False,
-    ).stdout.strip()
     path.parent.mkdir(parents=True, exist_ok=True)
-    made_by = provenance() | {"processor": processor(), "commit": commit}
+    made_by = provenance() | {"processor": processor(), "commit": commit()}
     path.write_text(json.dumps(made_by | results, indent=1) + "\n")
     print(f"wrote {path}")
+
+
+def commit() -> str:
+    """The commit of this checkout, with "-dirty" where code is not as committed; nothing outside of one."""
+
+    def git(*arguments: str) -> str:
+        command = ["git", *arguments]
+        return subprocess.run(command, cwd=HERE, capture_output=True, text=True, check=False).stdout.strip()
+
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", "*.py", "../src")
+    return git("rev-parse", "HEAD") + ("-dirty" if changed else "")
 
 
 def processor() -> str:
