@@ -1,9 +1,9 @@
 """One diagram and one sweep side by side with the C++ peer, on the paper's Table 1 (L = 100, R_b = 10).
 
-Everybody has one thread. Ours counts lists and coloring in. The peer's IS-MH makes whole
-diagrams, as the paper does, by the rule of two hops; its incremental MH changes one live triangulation. All
-start from the same random tissue and play as many sweeps as fit the budget. Energies are compared after equal
-sweeps: by `fine` on the backbones where a program tells them, else by its own measure.
+Everybody has one thread. Ours counts lists and coloring in. The peer's IS-MH makes whole diagrams, as the
+paper does, by the rule of two hops; its incremental MH changes one live triangulation. All start from the
+same random tissue and play as many sweeps as fit the budget. Energies are compared after equal sweeps: by
+`fine` on the backbones where a program tells them, else by its own measure.
 """
 
 import time

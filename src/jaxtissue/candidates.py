@@ -7,7 +7,7 @@ backbones nearest along the axis.
 import functools
 import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,7 @@ from jaxtissue.tube import Tube
 from jaxtissue.views import LEVEL, pick, posts, see_rivals, see_turned
 from jaxtissue.walls import least_reach
 
+T = TypeVar("T", np.ndarray, Array)
 NEAREST = 112  # backbones that are candidates of each cell, unless it needs more
 A_SIDE = 56  # of them at most on one side, where cells at the ends of the tube have all
 ROWS = 128  # cells compared at once: tables that fit the cache
@@ -137,17 +138,17 @@ def spacing(place: np.ndarray, first: np.ndarray, second: np.ndarray, tube: Tube
     return spacing_at(gap, np.cos(place[first, 1] - place[second, 1]), *radii)
 
 
-def spacing_at(gap: np.ndarray, cosine: np.ndarray, inner: float, outer: float) -> np.ndarray:
-    """The same for backbones `gap` apart along the axis, and at an angle of that cosine."""
+def spacing_at(gap: T, cosine: T, inner: Any, outer: Any, xp: Any = np) -> T:
+    """The same for backbones `gap` apart along the axis, and at an angle of that cosine: arrays of `xp`."""
     square, flat = gap * gap, 1 - cosine * cosine
     score = square * (1 / inner) + 2 * inner * (1 - cosine)  # at the apical surface
-    for radius in (math.sqrt(inner * outer), outer):
-        apart = np.maximum(inner - radius * cosine, 0)  # where the foot is the apical end
+    for radius in ((inner * outer) ** 0.5, outer):
+        apart = xp.maximum(inner - radius * cosine, 0)  # where the foot is the apical end
         apart *= apart
         apart += square
         apart *= 1 / radius
         apart += radius * flat
-        np.minimum(score, apart, out=score)
+        score = xp.minimum(score, apart)
     return score
 
 

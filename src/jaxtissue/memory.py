@@ -10,7 +10,7 @@ from jaxtissue.tube import Tube
 
 BASE = 650e6  # bytes of Python, JAX and the compiled programs, whatever the tissue
 LOOKS = 2  # measured states kept at once: at the begin and at the end of a span
-SCRATCH = 2.0  # bytes that are allocated at the peak for each that is counted here, fitted
+SCRATCH = 1.8  # bytes that are allocated at the peak for each that is counted here, fitted
 
 
 def estimate_memory(
@@ -19,7 +19,7 @@ def estimate_memory(
     """Peak memory of an annealing run in bytes: a base, and so much for each cell of each replica.
 
     base + replicas n (2 looks + lists + state + one round's tables): a look has for each of 2 x 56 candidates
-    its number, on host and device, its clearance, and two flags, and the reach on each line. Fitted to
+    its number, on host and device, clearance, distance and two flags, and the reach on each line. Fitted to
     peaks by `draft` on one CPU from random backbones: 561, 657, 1,506 and 2,072 MiB at n = 500, 5,000, 50,000
     and 100,000.
 
@@ -29,7 +29,7 @@ def estimate_memory(
     """
     reach = 2 * plan_lines(tube, cells, resolution).row * float_bytes
     listed = 2 * A_SIDE
-    look = listed * (4 + 4 + float_bytes + 2) + reach
+    look = listed * (4 + 4 + 2 * float_bytes + 2) + reach
     few = shortlist_length(cells)
     around = 4 * few  # as many again have the cell on their lists
     lists = 4 * (2 * few + around)

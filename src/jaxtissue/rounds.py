@@ -75,10 +75,9 @@ def cut(
     """
     if pieces == 1:
         return rounds
-    rows = [row[row >= 0] for row in rounds]
-    parts = zip(
-        *(np.array_split(row[np.argsort(axial[row], kind="stable")], pieces) for row in rows), strict=True
-    )
+    rows = (row[row >= 0] for row in rounds)
+    along = (row[np.argsort(axial[row], kind="stable")] for row in rows)
+    parts = zip(*(np.array_split(row, pieces) for row in along), strict=True)
     found = [part for stretch in parts for part in stretch if len(part)]
     few = np.full((len(found), -(-rounds.shape[1] // pieces)), -1, np.int32)
     for row, part in zip(few, found, strict=True):

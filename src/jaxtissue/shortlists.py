@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import sparse
 
-from jaxtissue.candidates import least, linked, padded
+from jaxtissue.candidates import least, linked, padded, spacing_at
 from jaxtissue.cells import BLOCK, Survey, measure_cells
 from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.lowering import larger, settled, smaller, taken
@@ -99,20 +99,12 @@ def clearance(
 def distances(
     positions: Float[Array, "n 2"], tube: Tube, sides: Int[Array, "n 2 candidates"]
 ) -> Float[Array, "n 2 candidates"]:
-    """From each backbone to its candidates, the least over three radii in units of the square root of these.
-
-    In mean cell widths, up to a constant factor; never 0.
-    """
+    """From each backbone to its candidates, as `candidates.spacing`, not squared; never 0."""
     place = posts(positions)
     own, others = Posts(*(column[:, None, None] for column in place)), pick(place, sides)
-    gap, (versine, sine) = others.axial - own.axial, turn_between(own, others)
-
-    def square(radius: Array | float) -> Array:
-        above = larger(tube.apical_radius - radius * (1 - versine), 0.0)  # the foot is the apical end
-        return (gap**2 + above**2) / radius + radius * sine**2
-
-    radii = tube.apical_radius, jnp.sqrt(tube.apical_radius * tube.basal_radius), tube.basal_radius
-    return jnp.sqrt(functools.reduce(smaller, [square(radius) for radius in radii]) + TINY)
+    cosine = 1 - turn_between(own, others)[0]
+    radii = tube.apical_radius, tube.basal_radius
+    return jnp.sqrt(spacing_at(others.axial - own.axial, cosine, *radii, xp=jnp) + TINY)
 
 
 def shortlist_length(cells: int) -> int:

@@ -12,6 +12,7 @@ from typing import Any
 import jax
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
+from jaxtissue.cluster import use_cores
 from jaxtissue.memory import machine_memory
 
 ROOM = 2**31  # bytes of memory that a process is given
@@ -87,7 +88,7 @@ class Workers:
 
 def _set_up(compiled: str | None, x64: bool) -> None:
     """Make this process a worker."""
-    os.environ["NPROC"] = "1"  # threads of XLA, which reads it when it starts
+    use_cores(1)
     jax.config.update("jax_platforms", "cpu")
     jax.config.update("jax_enable_x64", x64)
     jax.config.update("jax_compilation_cache_dir", compiled)
