@@ -331,6 +331,16 @@ def test_the_contacts_of_a_run_are_those_of_its_backbones(annealed, tmp_path):
     assert [row["is_scutoid"] == "True" for row in cells] == (column(cells, "transitions") > 0).tolist()
 
 
+def test_control_characters_in_names_leave_tables_and_graphs_that_readers_take(tmp_path):
+    path, folder = tmp_path / "mine.csv", tmp_path / "m"
+    path.write_text("axial,angle,cell\n1,0.5,a\x0bb\n5,1.5,c\x1b[31m\n9,2.5,=d\n")
+    assert main(["measure", str(path), *SIZES, "--graph", "--out", str(folder)]) == 0
+    graph = nx.read_graphml(folder / "graph.graphml", node_type=int)
+    assert [graph.nodes[k]["name"] for k in range(3)] == [r"a\u000bb", r"c\u001b[31m", "=d"]
+    assert [row["name"] for row in read_table(folder / "cells.csv")] == [r"a\u000bb", r"c\u001b[31m", "'=d"]
+    assert io.read_backbones(folder / "cells.csv", Tube(12, 2, 4)).names == ("a\x0bb", "c\x1b[31m", "=d")
+
+
 def test_small_contacts_are_left_out_and_old_tables_removed(annealed, tmp_path):
     folder, walls = tmp_path / "m", column(read_table(annealed / "contacts.csv"), "area")
     run = ["measure", str(annealed / "backbones.csv"), *SIZES, "--resolution", "draft", "--out", str(folder)]

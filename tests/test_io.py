@@ -40,6 +40,29 @@ def test_backbones_read_back_exactly(tmp_path, dtype, named):
     assert read.names == names
 
 
+def test_names_that_would_break_a_table_or_be_computed_read_back_exactly(tmp_path):
+    names = (
+        "=1+1",
+        "+a",
+        "-3",
+        "@b",
+        "'=1",
+        "''a",
+        "a\x1b[31mb",
+        "c\r\nd",
+        "e\x00",
+        r"\u001b",
+        r"$\xi$",
+        "\x85",
+    )
+    positions = np.stack([np.arange(1.0, 1 + len(names)), np.zeros(len(names))], axis=1)
+    io.write_backbones(tmp_path / "b.csv", positions, names)
+    written = (tmp_path / "b.csv").read_text()
+    assert written.count("\n") == len(names) + 1 and written.replace("\n", "").isprintable()
+    assert not [line for line in written.splitlines()[1:] if line.split(",")[2][0] in "=+-@"]
+    assert io.read_backbones(tmp_path / "b.csv", TUBE).names == names
+
+
 def test_any_angle_is_wrapped(table):
     read = io.read_backbones(table("axial,angle\n0,-1\n50,7\n100,-1e-20\n"), TUBE)
     assert read.positions[:, 1].tolist() == [2 * math.pi - 1, 7 - 2 * math.pi, 0.0]

@@ -16,6 +16,7 @@ REPRODUCTION = ["workers", "tissues", "experiments", "ratios", "timings", "publi
 REPRODUCTION += ["ratio_figures", "shapes", "pictures", "tube_pictures", "claims", "run_claims"]
 REPRODUCTION += ["ratio_claims", "items", "report", "reproduce"]
 PEOPLE = [
+    "names",
     "io",
     "plot",
     "settings",

@@ -18,6 +18,7 @@ from jaxtyping import ArrayLike, Float, Int
 from scipy.spatial import KDTree
 
 from jaxtissue.anneal import AnnealState
+from jaxtissue.names import from_field, to_field
 from jaxtissue.records import SweepRecord
 from jaxtissue.tube import Tube
 
@@ -141,7 +142,7 @@ def _refuse_twins(path: Path, lines: list[int], positions: Float[np.ndarray, "n 
 def _read_names(path: Path, rows: list[tuple[int, dict[str, str | None]]], column: str) -> tuple[str, ...]:
     seen: dict[str, int] = {}
     for line, row in rows:
-        name = (row[column] or "").strip()
+        name = from_field((row[column] or "").strip())
         if not name:
             raise ValueError(f"{path} line {line}: {column} is empty; name the cell or leave the column out")
         if name in seen:
@@ -157,15 +158,21 @@ def write_backbones(
 ) -> None:
     """Write (axial, angle) positions, and names as `cell`, as `read_backbones` reads them."""
     axial, angle = np.asarray(positions).T
-    write_table(path, {"axial": axial, "angle": angle} | ({"cell": np.array(names)} if names else {}))
+    columns = {"axial": axial, "angle": angle}
+    write_table(path, columns | ({"cell": np.array(names, dtype=object)} if names else {}))
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of equal length as CSV, floats with all their digits."""
+    """Write columns of equal length as CSV, floats with all their digits, texts as `to_field` has them."""
     with replacing(path, "w") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
-        writer.writerows(zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True))
+        values = ([_field(value) for value in np.asarray(column).tolist()] for column in columns.values())
+        writer.writerows(zip(*values, strict=True))
+
+
+def _field(value: Any) -> Any:
+    return to_field(value) if isinstance(value, str) else value
 
 
 def write_sweep(file: IO[str], record: SweepRecord) -> None:

@@ -17,6 +17,7 @@ from jaxtissue.diagrams import measure_tissue
 from jaxtissue.energy import Model
 from jaxtissue.exact import exact_cells
 from jaxtissue.lines import PRESETS, Resolution
+from jaxtissue.names import printable
 from jaxtissue.spread import covering_radius, separation
 from jaxtissue.statistics import Connectivity, summarize_connectivity, tabulate_connectivity, tissue_graph
 from jaxtissue.tube import Tube
@@ -48,7 +49,7 @@ def tabulate_cells(
     columns |= {"energy": energy, "is_end": np.asarray(cells.touches_end)}
     if connectivity is not None:
         columns |= {"is_end": connectivity.is_end} | tabulate_connectivity(connectivity)
-    columns |= {"name": np.array(names)} if names else {}
+    columns |= {"name": np.array(names, dtype=object)} if names else {}
     apart, covering = float(separation(positions, model.tube)), float(covering_radius(positions, model.tube))
     summary = {
         "total_volume": columns["volume"].sum(dtype=float),
@@ -94,7 +95,13 @@ def write_contacts(
     io.write_table(folder / "transitions.csv", points | dict(cells))
     if columns is not None:
         with io.replacing(folder / "graph.graphml", "wb") as file:
-            nx.write_graphml(tissue_graph(connectivity, columns), file)
+            nx.write_graphml(tissue_graph(connectivity, _printable(columns)), file)
+
+
+def _printable(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The columns with such names of cells as XML takes."""
+    names = [printable(name) for name in columns["name"]] if "name" in columns else None
+    return dict(columns) | ({"name": np.array(names)} if names else {})
 
 
 def compare_presets(
