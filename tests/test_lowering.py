@@ -4,11 +4,12 @@ import jax
 import numpy as np
 import pytest
 
+from jaxtissue import lowering
 from jaxtissue.candidates import find_candidates
 from jaxtissue.cells import measure_cells
 from jaxtissue.exact import exact_cells
 from jaxtissue.lines import PRESETS, plan_lines
-from jaxtissue.lowering import arctan, options
+from jaxtissue.lowering import arctan, is_option, options
 from jaxtissue.tube import Tube
 
 TUBE = Tube(40.0, 1.0, 8.0)
@@ -46,3 +47,13 @@ def test_the_angle_of_any_tangent(dtype, light: bool) -> None:
     tangent = np.concatenate([tangent, np.array([0, 1e-18, -1e9], dtype)])
     found = jax.jit(arctan, compiler_options=options(light))(tangent)
     np.testing.assert_allclose(found, np.arctan(tangent.astype(float)), rtol=6e-7)  # 5 roundings of float32
+
+
+def test_options_that_the_compiler_lacks_are_left_out(monkeypatch) -> None:
+    known = options(light=True)
+    assert "xla_cpu_prefer_vector_width" in known
+    assert not is_option("xla_cpu_no_such_option", False)
+    monkeypatch.setattr(lowering, "is_option", lambda name, value: name != "xla_backend_optimization_level")
+    assert "xla_backend_optimization_level" not in options(light=True)
+    with pytest.raises(RuntimeError, match="xla_cpu_prefer_vector_width"):  # known, but not by this value
+        is_option("xla_cpu_prefer_vector_width", "wide")
