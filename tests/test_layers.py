@@ -13,7 +13,15 @@ CONTACTS = ["leads", "fronts", "edges", "contacts", "transitions", "statistics",
 MOVES = ["energy", "coloring", "changes", "metropolis", "spans", "rounds", "records", "programs"]
 MOVES += ["schedules", "surveys", "anneal", "memory"]
 REPRODUCTION = ["workers", "tissues", "experiments", "ratios", "timings", "published", "figures"]
-REPRODUCTION += ["ratio_figures", "shapes", "pictures", "tube_pictures", "claims", "run_claims"]
+REPRODUCTION += [
+    "ratio_figures",
+    "shapes",
+    "pictures",
+    "tube_pictures",
+    "claims",
+    "time_claims",
+    "run_claims",
+]
 REPRODUCTION += ["ratio_claims", "items", "report", "reproduce"]
 PEOPLE = [
     "names",

@@ -9,10 +9,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from jaxtissue.cli import main
-from jaxtissue.reproduction import experiments, reproduce, tissues
+from jaxtissue.reproduction import experiments, reproduce, timings, tissues
 from jaxtissue.reproduction.experiments import QUICK, Plan, Store, measure_runs, measure_volumes
 from jaxtissue.reproduction.items import ITEMS, Product
 from jaxtissue.reproduction.ratios import measure_ratios
+from jaxtissue.reproduction.timings import play_whole
 from jaxtissue.reproduction.tissues import Annealing, History, anneal_history, random_tissue, relax_lloyd
 from jaxtissue.reproduction.workers import Workers
 from jaxtissue.sampling import cylindrical_voxels
@@ -171,6 +172,45 @@ def test_tables_of_runs_and_volumes(store, monkeypatch):
     volumes = measure_volumes(TINY, store)
     first = volumes["volume"][:12]
     assert (np.diff(first) >= 0).all() and first.sum() == pytest.approx(float(TINY.tube(10).volume), rel=2e-3)
+
+
+def test_mh_with_whole_diagrams_is_mh_and_every_rule_is_timed():
+    """The energy of all cells and the local difference decide alike, move for move."""
+    annealing = Annealing(Tube(15, 2, 10), 60, timings.WARM_UP)
+    contest = timings.Contest(annealing, np.asarray(random_tissue(annealing.tube, 60, 3)), 1)
+    annealer, state = contest.annealers["mh"], contest.states["mh"]
+    whole, taken = play_whole(annealer, state, contest.gauge, 60)
+    _, rows, trail = annealer.advance(state)
+    assert len(taken) == 60 and 0.2 < rows[0].acceptance < 0.8
+    assert np.abs(whole - trail[0]).max() < 1e-6
+    row = contest.play()
+    assert all(row[f"{name}_seconds"] > 0 for name in ("mh", "whole", *timings.RULES))
+    assert row["8_phi_rounds"] >= row["2_hop_rounds"] >= 30 and row["near_put_off"] < 0.02
+
+
+def test_table_1_is_timed_in_turns_that_are_kept(store, monkeypatch):
+    plan, played = replace(TINY, table_cells=(12,), turns=2), []
+
+    class Made:
+        def __init__(self, annealing, positions, turns):
+            self.radius = annealing.tube.apical_radius
+
+        def play(self):
+            played.append(float(self.radius))
+            return {"apical_radius": float(self.radius), "cells": 12, "near_seconds": float(len(played))}
+
+    monkeypatch.setattr(experiments, "anneal_history", made_up)
+    monkeypatch.setattr(timings, "Contest", Made)
+    monkeypatch.setattr(timings, "_sets", lambda *_: {"near_sets": 4})
+    table, turns = timings.measure_table(plan, store)
+    assert played == [1.0, 5.0, 1.0, 5.0, 1.0, 5.0]  # the first pair compiles, and is not kept
+    assert list(turns["near_seconds"]) == [3, 4, 5, 6] and list(turns["turn"]) == [1, 1, 2, 2]
+    assert list(table["near_seconds"]) == [4, 5] and list(table["near_sets"]) == [4, 4]
+    again, _ = timings.measure_table(plan, store)
+    assert len(played) == 6 and list(again["near_seconds"]) == [4, 5]
+    (store.folder / "table1_turn2.json").unlink()  # as where it was stopped before
+    _, turns = timings.measure_table(plan, store)
+    assert len(played) == 10 and list(turns["near_seconds"]) == [3, 4, 9, 10]
 
 
 def test_histories_start_from_the_random_tissue_of_their_seed():

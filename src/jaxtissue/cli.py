@@ -162,6 +162,7 @@ def reproduce_paper(arguments: dict[str, Any]) -> int:
     """Make the paper's table and figures, and a report that sets its numbers beside ours."""
     items = choose_items(arguments["items"])
     _use_x64(arguments["x64"])
+    use_cores(1)
     plan = make_plan(arguments["quick"], arguments["seeds"])
     with Workers(free_cores()) as workers:
         manifest = reproduce(arguments["out"], items, plan, arguments["force"], workers)

@@ -15,9 +15,16 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 
 from jaxtissue.reproduction import published
 from jaxtissue.reproduction.experiments import Table
+from jaxtissue.reproduction.timings import RULES
 
 # Okabe and Ito's colors, which color-blind readers tell apart; line styles tell them apart too.
 _BLUE, _ORANGE, _GREEN, _PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
+_RULE_COLORS = (_BLUE, _GREEN, _ORANGE, _PURPLE, "#777777")
+_TIMED = (  # column, label, color, marker, and the paper's times it is to be compared with
+    ("whole", "MH, whole diagrams (extrapolated)", _PURPLE, "^", "mh_seconds"),
+    ("mh", "MH, local", _ORANGE, "s", ""),
+    ("near", "IS-MH, near rule", _BLUE, "o", "is_mh_seconds"),
+)
 
 
 def plot_times(table: Table) -> tuple[Figure, np.ndarray]:
@@ -28,21 +35,20 @@ def plot_times(table: Table) -> tuple[Figure, np.ndarray]:
         rows = {name: column[table["apical_radius"] == radius] for name, column in table.items()}
         paper = [published.TABLE_1.get((radius, int(n))) for n in rows["cells"]]
         told = [n for n, row in zip(rows["cells"], paper, strict=True) if row]
-        for name, label, color, marker in (("mh", "MH", _ORANGE, "s"), ("is_mh", "IS-MH", _BLUE, "o")):
+        for name, label, color, marker, theirs in _TIMED:
             here = f"{label}, $R_a$ = {radius:g}"
             look: dict[str, Any] = {"marker": marker, "ms": size, "color": color}
             axes[0].plot(rows["cells"], rows[f"{name}_seconds"], dashes, label=here, **look)
-            theirs = [getattr(row, f"{name}_seconds") for row in paper if row]
-            axes[0].plot(told, theirs, dashes, alpha=0.6, mfc="white", label=f"{here}, paper", **look)
-        for rule, color in zip(
-            ("2_hop", "3_hop", "4_hop", "8_phi"), (_GREEN, _BLUE, _PURPLE, "#777777"), strict=True
-        ):
-            label = f"{rule.replace('_', '-').replace('8-phi', '8 phi')}, $R_a$ = {radius:g}"
+            if theirs:
+                seconds = [getattr(row, theirs) for row in paper if row]
+                axes[0].plot(told, seconds, dashes, alpha=0.6, mfc="white", label=f"{here}, paper", **look)
+        for (rule, name), color in zip(RULES.items(), _RULE_COLORS, strict=True):
+            label = f"{name.replace('-phi', ' phi')}, $R_a$ = {radius:g}"
             look = {"marker": "o", "ms": size, "color": color}
-            axes[1].plot(rows["cells"], rows[f"rounds_{rule}"], dashes, label=label, **look)
-        theirs = [row.rounds for row in paper if row]
+            axes[1].plot(rows["cells"], rows[f"{rule}_sets"], dashes, label=label, **look)
         look = {"marker": "D", "ms": size, "color": "black", "mfc": "white"}
-        axes[1].plot(told, theirs, dashes, label=f"paper, $R_a$ = {radius:g}", **look)
+        rounds = [row.rounds for row in paper if row]
+        axes[1].plot(told, rounds, dashes, label=f"paper, $R_a$ = {radius:g}", **look)
     for panel, name in zip(axes, ("seconds per sweep", "rounds per sweep"), strict=True):
         panel.set(xlabel="cells", ylabel=name, xscale="log", yscale="log")
         panel.grid(which="both", color="0.92")

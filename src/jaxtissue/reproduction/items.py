@@ -44,8 +44,8 @@ class Product(NamedTuple):
 
 def make_table1(plan: Plan, store: Store) -> Product:
     """Seconds per sweep and rounds."""
-    table = measure_table(plan, store)
-    return Product({"": table}, plot_times(table)[0])
+    table, turns = measure_table(plan, store)
+    return Product({"": table, "_turns": turns}, plot_times(table)[0])
 
 
 def make_fig5(plan: Plan, store: Store) -> Product:

@@ -10,6 +10,7 @@ from jaxtissue.energy import tube_model
 from jaxtissue.laws import bound_ratios
 from jaxtissue.reproduction.experiments import THRESHOLDS, Plan, Store, Table, tabulate
 from jaxtissue.reproduction.tissues import random_tissue, relax_lloyd
+from jaxtissue.spread import separation
 from jaxtissue.statistics import KIND_ORDER, find_connectivity, summarize_connectivity
 
 KINDS = ("random", "lloyd", "annealed")
@@ -58,6 +59,7 @@ def _connect(plan: Plan, ratio: float, kind: str, seed: int, place: np.ndarray) 
     for bound in bound_ratios(place, tube, found, hops=(2, 3)):
         row[f"{bound['bound'].lower().replace(' ', '_')}_hops_{bound['hops']}"] = bound["ratio"]
         row["tightness"] = bound["tightness"]
+    row["covering_radius"] = row["tightness"] * float(separation(jnp.asarray(place), tube))
     contacts, mean = found.contacts, found.contacts.area.mean()
     for threshold in THRESHOLDS[1:]:
         kept = contacts.area >= threshold * mean

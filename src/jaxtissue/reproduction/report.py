@@ -1,12 +1,13 @@
 """The report: what the paper says beside what was found, as Markdown."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from jaxtissue.reproduction.claims import MET, NOT_COMPARABLE, NOT_MET, Claim
+from jaxtissue.reproduction.claims import ENERGIES, MET, NOISY, NOT_COMPARABLE, VERDICTS, Claim
 from jaxtissue.reproduction.experiments import Plan, Table
 from jaxtissue.reproduction.ratio_claims import (
+    explain_plateau,
     judge_kinds,
     judge_neighbors,
     judge_pair,
@@ -17,9 +18,9 @@ from jaxtissue.reproduction.run_claims import (
     judge_cell,
     judge_runs,
     judge_surfaces,
-    judge_times,
     judge_volumes,
 )
+from jaxtissue.reproduction.time_claims import judge_times, write_times
 
 JUDGES: dict[str, Callable[[Mapping[str, Table], Plan], list[Claim]]] = {
     "table1": judge_times,
@@ -33,14 +34,29 @@ JUDGES: dict[str, Callable[[Mapping[str, Table], Plan], list[Claim]]] = {
     "fig15": judge_kinds,
     "fig16": judge_pair,
 }
-_INTRODUCTION = """\
+DETAILS: dict[str, Callable[[Mapping[str, Table]], str]] = {"table1": write_times, "fig12": explain_plateau}
+_INTRODUCTION = f"""
+## How it is judged
+
 Buceta, Funke, Storandt, *Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone Spreads*,
-GRAPP 2025, sections 4 and 5, beside jaxtissue. The paper's numbers are from its text, or read off the axes of
-its figures where it says so. A verdict follows from the tables in this folder by the criterion beside it.
-Nothing was adjusted to meet the paper; but the criteria were written knowing a table of values measured while
-this evaluation was designed, so they are no blind test. `not comparable` means that no criterion can be put:
-another machine, a quantity that the paper does not define, a number that is not the paper's, or one that this
-plan leaves out.
+GRAPP 2025, sections 4 and 5, is set beside jaxtissue. The paper's numbers are from its text, or read off
+the axes of its figures where it says so. Each verdict follows from the tables in this folder by the
+criterion beside it:
+
+- A mean over the runs counts with its 95 % interval (Student's t), and a time with its smallest and largest
+  value over turns in which all algorithms are timed one after the other. Where these lie on both sides of
+  the criterion, the verdict is `{NOISY}`. Times in parentheses are the smallest and the largest.
+- Energies, at the start and at the end, have one criterion: the 95 % interval of the ratio of the means has
+  to be within {100 * ENERGIES:g} % of 1, or within as much of the range read off the paper. The paper gives
+  no scatter for its means of 10 runs, so that of ours is taken for them.
+- The paper prints phi without saying how it was measured. By its Definition 1 it is the covering radius
+  (the largest distance of a point of the tissue to its nearest backbone) in units of the separation (the
+  smallest distance of two backbones), which we call tightness. Both readings are judged, each by itself.
+- `{NOT_COMPARABLE}` means that no criterion can be put: another machine, another way to measure, a number
+  that is not the paper's, or one that this plan leaves out.
+
+Nothing was adjusted to meet the paper; but the criteria were written knowing a table of values measured
+while this evaluation was designed, so they are no blind test.
 """
 _QUICK = """
 **This is a `--quick` run**: {cells} cells on a tube of length {length:g} (the paper: 500 on 100), {sweeps}
@@ -55,23 +71,54 @@ def judge_items(tables: Mapping[str, Table], plan: Plan, items: list[str]) -> li
     return [claim for item in items if item in JUDGES for claim in JUDGES[item](tables, plan)]
 
 
-def write_report(claims: list[Claim], plan: Plan, items: Mapping[str, Mapping[str, Any]]) -> str:
+def write_report(
+    claims: list[Claim], plan: Plan, items: Mapping[str, Mapping[str, Any]], tables: Mapping[str, Table]
+) -> str:
     """The report as Markdown; `items` are the finished ones with their seconds."""
-    parts = ["# The paper's evaluation, beside ours\n", _INTRODUCTION]
+    parts = ["# The paper's evaluation, beside ours\n", summarize(claims)]
     if plan.quick:
         sizes = {name: getattr(plan, name) for name in ("cells", "length", "sweeps", "seeds")}
         parts.append(_QUICK.format(**sizes, ratios=len(plan.ratios)))
     else:
         parts.append(f"\nMeans over {plan.seeds} seeds; {plan.cells} cells, {plan.sweeps} sweeps.\n")
-    count = Counter(claim.verdict for claim in claims)
-    parts.append(f"\n{count[MET]} met, {count[NOT_MET]} not met, {count[NOT_COMPARABLE]} not comparable.\n")
+    parts.append(_INTRODUCTION)
     for item in items:
         seconds = items[item]["seconds"]
         parts.append(f"\n## {title(item)}\n\n![{title(item)}]({item}.png)\n")
+        parts.append(DETAILS[item](tables) if item in DETAILS else "")
         rows = [claim for claim in claims if claim.item == item]
         parts.append(_table(rows) if rows else "\nA picture of our own tissue; the paper gives no number.\n")
         parts.append(f"\nComputed in {seconds:.0f} s, what it shares with others counted once.\n")
     return "".join(parts)
+
+
+def summarize(claims: Sequence[Claim]) -> str:
+    """What is met, what is not and why, in words; statements with one verdict and one reason are merged."""
+    count = Counter(claim.verdict for claim in claims)
+    counts = ", ".join(f"{count[verdict]} {verdict}" for verdict in VERDICTS)
+    lines = [f"\nOf the paper's statements {len(claims)} are set beside what was found here: {counts}.\n"]
+    for verdict in VERDICTS:
+        groups: dict[str, list[str]] = {}
+        for claim in claims:
+            if claim.verdict == verdict:
+                groups.setdefault("" if verdict in (MET, NOISY) else claim.why, []).append(claim.says)
+        for reason, statements in groups.items():
+            why = f" ({reason})" if reason else ""
+            lines.append(f"- **{verdict.capitalize()}:** {'; '.join(_merged(statements))}{why}.")
+    return "\n".join(lines) + "\n"
+
+
+def _merged(statements: Sequence[str]) -> list[str]:
+    """Statements on one R_a each, those that say the same merged.
+
+    >>> _merged(["it falls, R_a = 1", "it falls, R_a = 5", "it ends"])
+    ['it falls (R_a = 1 and 5)', 'it ends']
+    """
+    radii: dict[str, list[str]] = {}
+    for statement in statements:
+        says, _, radius = statement.partition(", R_a = ")
+        radii.setdefault(says, []).extend([radius] if radius else [])
+    return [f"{says} (R_a = {' and '.join(some)})" if some else says for says, some in radii.items()]
 
 
 def title(item: str) -> str:

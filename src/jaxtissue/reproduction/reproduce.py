@@ -115,9 +115,10 @@ def _write(folder: Path, item: str, product: Product) -> list[str]:
 
 def _report(folder: Path, plan: Plan, manifest: dict[str, Any]) -> None:
     made = [item for item in ITEMS if item in manifest["items"]]
-    tables = {item: read_table(folder / f"{item}.csv") for item in made}
+    files = [folder / name for item in made for name in manifest["items"][item]["files"]]
+    tables = {path.stem: read_table(path) for path in files if path.suffix == ".csv"}
     claims = judge_items(tables, plan, made)
-    text = write_report(claims, plan, {item: manifest["items"][item] for item in made})
+    text = write_report(claims, plan, {item: manifest["items"][item] for item in made}, tables)
     with io.replacing(folder / "report.md", "w") as file:
         file.write(text)
     columns = {name: np.array([getattr(claim, name) for claim in claims]) for name in Claim._fields}
