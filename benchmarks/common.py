@@ -3,8 +3,6 @@
 import argparse
 import json
 import os
-import platform
-import re
 import resource
 import subprocess
 from pathlib import Path
@@ -14,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxtissue as jt
-from jaxtissue.settings import provenance
+from jaxtissue.settings import processor, provenance
 
 HERE = Path(__file__).resolve().parent
 REFERENCES = HERE.parent / "tests" / "data"
@@ -42,7 +40,7 @@ def output(description: str, name: str) -> Path:
 def write(path: Path, results: dict[str, Any]) -> None:
     """Write results with what they were taken with."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    made_by = provenance() | {"processor": processor(), "commit": commit()}
+    made_by = provenance() | {"processor": f"{processor()}, {os.cpu_count()} cores", "commit": commit()}
     path.write_text(json.dumps(made_by | results, indent=1) + "\n")
     print(f"wrote {path}")
 
@@ -56,16 +54,6 @@ def commit() -> str:
 
     changed = git("status", "--porcelain", "--untracked-files=no", "--", "*.py", "../src")
     return git("rev-parse", "HEAD") + ("-dirty" if changed else "")
-
-
-def processor() -> str:
-    """Its name, widest vectors and number of cores, as far as the system tells: times depend on these."""
-    info = Path("/proc/cpuinfo")
-    told = info.read_text() if info.is_file() else ""
-    name = re.search(r"^model name\s*: (.*)", told, re.MULTILINE)
-    vectors = next((kind for kind in ("avx512f", "avx2", "avx") if re.search(rf"\b{kind}\b", told)), "")
-    parts = (name[1] if name else platform.processor(), vectors, f"{os.cpu_count()} cores")
-    return ", ".join(filter(None, parts))
 
 
 def rms(measured: Any, exact: np.ndarray) -> float:

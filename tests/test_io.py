@@ -10,6 +10,7 @@ import pytest
 
 from jaxtissue import io
 from jaxtissue.anneal import AnnealState
+from jaxtissue.files import check_folder, checksum, write_json
 from jaxtissue.records import SweepRecord
 from jaxtissue.tube import Tube
 
@@ -132,7 +133,7 @@ def test_neighbors_in_axial_position_are_no_twins(table):
 
 def test_json_has_no_infinity_and_no_nan(tmp_path):
     values = {"a": math.inf, "b": [np.float32("nan"), 0.1, np.int64(3)], "c": {"d": True, "e": None}}
-    io.write_json(tmp_path / "s.json", values)
+    write_json(tmp_path / "s.json", values)
 
     def refuse(constant):
         raise AssertionError(constant)
@@ -145,7 +146,7 @@ def test_json_has_no_infinity_and_no_nan(tmp_path):
 def checkpoint():
     rng = np.random.default_rng(0)
     state = AnnealState(7, rng.random((3, 2), np.float32), 56)
-    return io.Checkpoint(state, np.array([0, 5]), rng.random((2, 3, 2), np.float32))
+    return io.Checkpoint(state, np.array([0, 5]), rng.random((2, 3, 2), np.float32), 64 * "0")
 
 
 def test_checkpoints_read_back_exactly(tmp_path, checkpoint):
@@ -153,7 +154,8 @@ def test_checkpoints_read_back_exactly(tmp_path, checkpoint):
     io.save_checkpoint(path, checkpoint)
     read = io.load_checkpoint(path)
     assert [type(part) for part in read.state] == [type(part) for part in checkpoint.state]
-    for new, old in zip((*read.state, *read[1:]), (*checkpoint.state, *checkpoint[1:]), strict=True):
+    assert read.rows == checkpoint.rows
+    for new, old in zip((*read.state, *read[1:3]), (*checkpoint.state, *checkpoint[1:3]), strict=True):
         np.testing.assert_array_equal(new, old, strict=True)
 
 
@@ -214,11 +216,16 @@ def test_rows_after_the_checkpoint_are_cut(tmp_path):
     write_records(path, 6)
     whole = path.read_bytes()
     path.write_bytes(whole[:-5])  # a torn last row
-    io.cut_sweeps(path, 3)
     short.write_bytes(b"".join(whole.splitlines(keepends=True)[:5]))
+    rows = checksum(short)
+    assert io.cut_sweeps(path, 3, rows, keep=True).hexdigest() == rows
+    assert path.read_bytes() == whole[:-5]
+    with pytest.raises(ValueError, match="checksum of its rows"):
+        io.cut_sweeps(path, 4, rows)
+    io.cut_sweeps(path, 3, rows)
     assert path.read_bytes() == short.read_bytes()
     with pytest.raises(ValueError, match="no row for sweep 4"):
-        io.cut_sweeps(path, 4)
+        io.cut_sweeps(path, 4, rows)
     assert path.read_bytes() == short.read_bytes()
 
 
@@ -230,6 +237,11 @@ def test_folders_are_refused_before_anything_is_written(tmp_path):
         (tmp_path / "file" / "inside", True, "can't be written"),
     ]:
         with pytest.raises(ValueError, match=problem):
-            io.check_folder(folder, force)
-    io.check_folder(tmp_path / "new" / "newer", False)
+            check_folder(folder, force)
+    check_folder(tmp_path / "new" / "newer", False)
+    (tmp_path / "begun").mkdir()
+    (tmp_path / "begun" / ".lock").touch()
+    check_folder(tmp_path / "begun", False)  # nothing is there but what a killed process left
+    (tmp_path / "begun" / ".lock").unlink()
+    (tmp_path / "begun").rmdir()
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -25,11 +25,14 @@ REPRODUCTION += [
 REPRODUCTION += ["ratio_claims", "items", "report", "reproduce"]
 PEOPLE = [
     "names",
+    "files",
     "io",
+    "locks",
     "plot",
     "settings",
     "stopping",
     "tables",
+    "run_files",
     "runs",
     "grids",
     "batches",

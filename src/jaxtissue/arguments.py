@@ -55,6 +55,8 @@ def command_parser() -> argparse.ArgumentParser:
 def _add_anneal(command: argparse.ArgumentParser) -> None:
     _add_folder(command, required=True)
     command.add_argument("--resume", action="store_true", help="go on with the run in DIR; --sweeps may grow")
+    command.add_argument("--finish", action="store_true", help="with --resume: only draw up the tables and "
+                         "figures of what was played; --resume can still go on")  # fmt: skip
     positive, size, whole = _number(0, above=True), _number(0), _count(0)
     kinds: dict[str, tuple[Callable[[str], Any], str, str]] = {
         "length": (positive, "X", "length of the tube"),

@@ -5,7 +5,6 @@ import time
 import warnings
 from collections.abc import Sequence
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,6 +14,7 @@ from jaxtissue import io
 from jaxtissue.arguments import TUBE_SIZES, command_parser
 from jaxtissue.cluster import Part, join, slurm_part, use_cores
 from jaxtissue.energy import tube_model
+from jaxtissue.files import check_folder, make_folder, write_json
 from jaxtissue.grid_runs import check_grid_folder, run_grid
 from jaxtissue.grids import AXES, Grid
 from jaxtissue.lines import resolution_named
@@ -22,7 +22,7 @@ from jaxtissue.programs import keep_compiled
 from jaxtissue.reproduction.reproduce import choose_items, make_plan, reproduce
 from jaxtissue.reproduction.workers import Workers, free_cores
 from jaxtissue.runs import resume_annealing, run_annealing
-from jaxtissue.settings import Settings, provenance, saved_settings, versions
+from jaxtissue.settings import Settings, provenance, versions
 from jaxtissue.statistics import find_connectivity
 from jaxtissue.tables import (
     CONTACT_TABLES,
@@ -59,12 +59,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 def anneal(arguments: dict[str, Any]) -> int:
     """Anneal a tissue into a folder, or take up a run there."""
     use_cores(1)
-    folder, force, resume = (arguments.pop(name) for name in ("out", "force", "resume"))
+    folder, force, resume, finish = (arguments.pop(name) for name in ("out", "force", "resume", "finish"))
     if resume:
-        settings = saved_settings(folder, arguments)
-        _use_x64(settings.x64)
-        backbones = arguments.get("backbones")
-        return resume_annealing(folder, settings, Path(backbones) if backbones else None)
+        return resume_annealing(folder, arguments, finish)
+    if finish:
+        raise ValueError("--finish is for a run that was stopped; add --resume")
     _refuse_both(arguments, "minimum_contact")
     settings = Settings(**arguments)
     if settings.final_temperature is not None and not settings.temperature > 0:
@@ -112,7 +111,7 @@ def measure(arguments: dict[str, Any]) -> int:
     """Measure the cells of given backbones, and trace who touches whom."""
     folder = arguments["out"]
     _refuse_both(arguments, "minimum_contact", "graph")
-    io.check_folder(folder, arguments["force"])
+    check_folder(folder, arguments["force"])
     tube, backbones = _read(arguments)
     place, connectivity, tracing = backbones.positions, None, 0.0
     if not arguments["no_contacts"]:
@@ -126,14 +125,14 @@ def measure(arguments: dict[str, Any]) -> int:
     resolution = resolution_named(arguments["resolution"])
     columns, summary = tabulate_cells(place, model, resolution, backbones.names, connectivity)
     summary["seconds"] = time.perf_counter() - begun
-    io.make_folder(folder, CONTACT_TABLES)
+    make_folder(folder, CONTACT_TABLES)
     io.write_table(folder / "cells.csv", columns)
     if connectivity is not None:
         write_contacts(folder, connectivity, columns if arguments["graph"] else None)
         summary |= contact_summary(connectivity) | {"contact_seconds": tracing}
         if warning := contact_warning(connectivity):
             print("jaxtissue: warning:", warning, file=sys.stderr)
-    io.write_json(folder / "summary.json", summary)
+    write_json(folder / "summary.json", summary)
     _print_summary(summary)
     return 0
 
@@ -142,7 +141,7 @@ def compare(arguments: dict[str, Any]) -> int:
     """Show the errors of each preset against the exact path."""
     folder, samples = arguments["out"], arguments["samples"]
     if folder:
-        io.check_folder(folder, arguments["force"])
+        check_folder(folder, arguments["force"])
     tube, backbones = _read(arguments)
     errors, exact_seconds = compare_presets(backbones.positions, tube, samples)
     print("  ".join(f"{name:>10}" for name in errors))
@@ -150,11 +149,11 @@ def compare(arguments: dict[str, Any]) -> int:
         print("  ".join([f"{preset:>10}", *(f"{figure:10.2e}" for figure in figures)]))
     print(f"relative to the mean cell of the exact path ({samples} samples, {exact_seconds:.3g} s)")
     if folder:
-        io.make_folder(folder)
+        make_folder(folder)
         io.write_table(folder / "compare.csv", errors)
         rows = [dict(zip(errors, row, strict=True)) for row in zip(*errors.values(), strict=True)]
         summary = {"samples": samples, "exact_seconds": exact_seconds, "presets": rows}
-        io.write_json(folder / "compare.json", summary | provenance())
+        write_json(folder / "compare.json", summary | provenance())
     return 0
 
 

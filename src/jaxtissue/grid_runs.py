@@ -15,6 +15,7 @@ from tqdm import tqdm
 from jaxtissue import io
 from jaxtissue.batches import Outcome, anneal_batch, batches, summarize, usual_batch
 from jaxtissue.cluster import Part
+from jaxtissue.files import check_folder, make_folder, replacing, write_json
 from jaxtissue.grids import Grid, describe
 from jaxtissue.lines import resolution_named
 from jaxtissue.memory import tell_memory
@@ -52,7 +53,7 @@ class GridRun:
         row = self.rows[number]
         io.write_backbones(self.path(number, "backbones", "csv"), outcome.positions)
         values = {"row": number} | describe(row) | summarize(row, outcome)
-        io.write_json(self.path(number, "rows", "json"), values)
+        write_json(self.path(number, "rows", "json"), values)
 
 
 def run_grid(folder: Path, grid: Grid, part: Part, force: bool = False, batch: int | None = None) -> int:
@@ -94,10 +95,10 @@ def check_grid_folder(folder: Path, grid: Grid, force: bool) -> None:
     """Raise `ValueError` unless `folder` is new, or this grid's, or may be written over; touches nothing."""
     manifest = folder / "manifest.json"
     if force or not folder.is_dir():
-        return io.check_folder(folder, force=True)  # another part may just make it
+        return check_folder(folder, force=True)  # another part may just make it
     if not manifest.is_file():
         known = {"", "manifest", *FOLDERS}  # a folder that another part has just made
-        return io.check_folder(folder, force={path.name.split(".")[0] for path in folder.iterdir()} <= known)
+        return check_folder(folder, force={path.name.split(".")[0] for path in folder.iterdir()} <= known)
     try:
         before, given = json.loads(manifest.read_text(encoding="utf-8"))["arguments"], grid.arguments
         names = list(before | given)
@@ -120,13 +121,13 @@ def _told(value: Any) -> str:
 
 def _prepare(folder: Path, grid: Grid, force: bool) -> None:
     """The folder with its manifest; of a grid that is forced, without the old rows."""
-    io.make_folder(folder, FILES if force else ())
+    make_folder(folder, FILES if force else ())
     for name in FOLDERS:
         known = list((folder / name).iterdir()) if force and (folder / name).is_dir() else []
-        io.make_folder(folder / name, [path.name for path in known if path.stem.isdigit()])
+        make_folder(folder / name, [path.name for path in known if path.stem.isdigit()])
     if not (folder / "manifest.json").is_file():
         manifest = {"arguments": grid.arguments, "rows": len(grid.rows)} | provenance()
-        io.write_json(folder / "manifest.json", manifest | {"finished": None})
+        write_json(folder / "manifest.json", manifest | {"finished": None})
 
 
 def _anneal(run: GridRun, missing: list[int], size: int) -> bool:
@@ -176,9 +177,9 @@ def _finish(run: GridRun) -> int:
     if written == len(everyone):
         manifest = json.loads((run.folder / "manifest.json").read_text(encoding="utf-8"))
         if not manifest["finished"]:
-            io.write_json(run.folder / "manifest.json", manifest | {"finished": now()})
+            write_json(run.folder / "manifest.json", manifest | {"finished": now()})
         figure, _ = plot_grid(table, [name for name in run.grid.axes if len(run.grid.axes[name]) > 1])
-        with io.replacing(run.folder / "energy.png", "wb") as file:
+        with replacing(run.folder / "energy.png", "wb") as file:
             figure.savefig(file, format="png", dpi=150)
     print(f"rows             {written} of {len(everyone)}")
     print(f"written to       {run.folder / 'table.csv'}")

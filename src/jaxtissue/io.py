@@ -1,14 +1,10 @@
-"""Files: backbones and tables as CSV, summaries as JSON, checkpoints as npz. Floats read back exactly."""
+"""Tables of backbones, cells and sweeps as CSV, and checkpoints. Floats read back exactly."""
 
 import csv
-import json
+import hashlib
 import math
-import os
-import platform
 import warnings
-import zipfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -18,6 +14,7 @@ from jaxtyping import ArrayLike, Float, Int
 from scipy.spatial import KDTree
 
 from jaxtissue.anneal import AnnealState
+from jaxtissue.files import load_arrays, open_own, replacing, save_arrays
 from jaxtissue.names import from_field, to_field
 from jaxtissue.records import SweepRecord
 from jaxtissue.tube import Tube
@@ -31,36 +28,12 @@ class BackboneTable(NamedTuple):
 
 
 class Checkpoint(NamedTuple):
-    """What a run needs to go on, and the positions it keeps for its figures."""
+    """What a run needs to go on, the positions it keeps for its figures, the checksum of its rows so far."""
 
     state: AnnealState
     kept_sweeps: Int[np.ndarray, "kept"]
     kept_positions: Float[np.ndarray, "kept n 2"]
-
-
-def check_folder(folder: Path, force: bool) -> None:
-    """Raise `ValueError` where a folder exists (unless forced) or can't be written; nothing is touched."""
-    try:
-        if folder.exists() and not (force and folder.is_dir()):
-            remedy = "choose another or add --force" if folder.is_dir() else "choose another"
-            raise ValueError(f"the output folder {folder} exists; {remedy}")
-        nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
-        writable = nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK)
-    except OSError:
-        writable = False
-    if not writable:
-        raise ValueError(f"the output folder {folder} can't be written; choose another")
-
-
-def make_folder(folder: Path, outdated: Sequence[str] = ()) -> None:
-    """Make a folder, or remove the `outdated` files of one that exists."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in outdated:
-            (folder / name).unlink(missing_ok=True)
-    except OSError as error:
-        message = f"the output folder {folder} can't be written ({error.strerror}); choose another"
-        raise ValueError(message) from error
+    rows: str
 
 
 def read_backbones(path: Path, tube: Tube) -> BackboneTable:
@@ -175,13 +148,14 @@ def _field(value: Any) -> Any:
     return to_field(value) if isinstance(value, str) else value
 
 
-def write_sweep(file: IO[str], record: SweepRecord) -> None:
-    """Add the row of a sweep to an open table of sweeps; sweep 0 brings the header."""
-    writer = csv.writer(file, lineterminator="\n")
-    if record.sweep == 0:
-        writer.writerow(record._fields)
-    writer.writerow([np.asarray(value).item() for value in record])
+def write_sweep(file: IO[str], record: SweepRecord) -> bytes:
+    """Add the row of a sweep to an open table of sweeps, and return it; sweep 0 brings the header."""
+    rows = [record._fields] if record.sweep == 0 else []
+    rows.append(tuple(str(np.asarray(value).item()) for value in record))
+    text = "".join(",".join(row) + "\n" for row in rows)
+    file.write(text)
     file.flush()
+    return text.encode()
 
 
 def read_sweeps(path: Path) -> dict[str, Float[np.ndarray, "rows"]]:
@@ -191,72 +165,40 @@ def read_sweeps(path: Path) -> dict[str, Float[np.ndarray, "rows"]]:
     return dict(zip(header, np.array(rows, float).reshape(-1, len(header)).T, strict=True))
 
 
-def cut_sweeps(path: Path, last: int) -> None:
-    """Remove the rows after sweep `last`. Raises `ValueError` for a table that does not reach it."""
+def cut_sweeps(path: Path, last: int, checksum: str, keep: bool = False) -> "hashlib._Hash":
+    """Remove the rows after sweep `last`, unless told to keep them; the running checksum of those before.
+
+    Raises `ValueError`, and removes nothing, for a table that does not reach it or of another checksum.
+    """
+    rows, remedy = hashlib.sha256(), "start again with --force"
     try:
-        with path.open("r+b") as file:
+        with open_own(path, "r+b") as file:
             line = b""
             for _ in range(last + 2):
                 line = file.readline()
-            if not (line.startswith(b"%d," % last) and line.endswith(b"\n")):
-                raise ValueError(f"{path} has no row for sweep {last}; start again with --force")
-            file.truncate(file.tell())
+                rows.update(line)
+            if not line.endswith(b"\n"):
+                raise ValueError(f"{path} is damaged (it has no row for sweep {last}); {remedy}")
+            if rows.hexdigest() != checksum:
+                raise ValueError(f"{path} is damaged (the checksum of its rows does not hold); {remedy}")
+            if not keep:
+                file.truncate(file.tell())
     except OSError as error:
-        raise ValueError(f"{path} can't be read ({error.strerror}); start again with --force") from error
-
-
-def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """Write values as JSON; what is infinite or not a number becomes null."""
-    with replacing(path, "w") as file:
-        json.dump(_plain(values), file, indent=2, allow_nan=False, ensure_ascii=False)
-        file.write("\n")
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
-    if isinstance(value, str | None):
-        return value
-    number = np.asarray(value).item()
-    return None if isinstance(number, float) and not math.isfinite(number) else number
+        raise ValueError(f"{path} can't be read ({error.strerror}); {remedy}") from error
+    return rows
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """Write a checkpoint so that at any moment `path` holds a whole one, the old or the new."""
     kept = checkpoint._asdict()
-    with replacing(path, "wb") as file:
-        np.savez(file, allow_pickle=False, **kept.pop("state")._asdict(), **kept)
+    save_arrays(path, kept.pop("state")._asdict() | kept)
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
-    """The checkpoint of a file. Raises `ValueError` where there is none or it is damaged."""
+    """The checkpoint of a file. Raises `ValueError` where a bit of it is not as it was."""
+    data, remedy = load_arrays(path, "start again with --force"), "start again with --force"
     try:
-        with np.load(path, allow_pickle=False) as file:
-            data = dict(file)
         state = AnnealState(int(data["sweep"]), data["positions"], int(data["around"]))
-        return Checkpoint(state, data["kept_sweeps"], data["kept_positions"])
-    except FileNotFoundError as error:
-        raise ValueError(f"{path.parent} has no checkpoint to resume; leave --resume out") from error
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is damaged ({error}); start again with --force") from error
-
-
-@contextmanager
-def replacing(path: Path, mode: str) -> Iterator[IO[Any]]:
-    """Open ("w" or "wb") a file that takes the place of `path` when it is complete and on the disk."""
-    # processes on several machines may write to one folder
-    temporary = path.with_name(f".{path.name}.{platform.node()}-{os.getpid()}.part")
-    encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
-    try:
-        with temporary.open(mode, encoding=encoding, newline=newline) as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException as error:
-        temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.filename is None:  # a full disk does not say where
-            raise OSError(f"{error}, writing {path}") from error
-        raise
+        return Checkpoint(state, data["kept_sweeps"], data["kept_positions"], str(data["rows"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is of another version ({error}); {remedy}") from error

@@ -1,14 +1,12 @@
 """One annealing run in a folder: begun, saved as it goes, resumed to the bit, finished with figures."""
 
-import json
 import os
-import sys
 import time
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -16,115 +14,69 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from jaxtissue import io
-from jaxtissue.anneal import SPAN, Annealer, AnnealState, renews_at
+from jaxtissue.anneal import SPAN
 from jaxtissue.diagrams import measure_tissue
+from jaxtissue.files import (
+    check_folder,
+    open_own,
+    replacing,
+)
 from jaxtissue.lines import PRESETS, resolution_named
-from jaxtissue.memory import tell_memory
+from jaxtissue.locks import alone
 from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes
+from jaxtissue.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
 from jaxtissue.schedules import has_stalled
-from jaxtissue.settings import Settings, now, provenance
+from jaxtissue.settings import Settings, now, other_bits
 from jaxtissue.statistics import find_connectivity
 from jaxtissue.stopping import Stop
-from jaxtissue.tables import CONTACT_TABLES, contact_summary, contact_warning, tabulate_cells, write_contacts
+from jaxtissue.tables import contact_summary, contact_warning, tabulate_cells, write_contacts
 
-FIGURES = ("energy.png", "volumes.png", "surfaces.png")
-TABLES = ("initial_backbones.csv", "backbones.csv", "cells.csv", "sweeps.csv")
-FILES = ("checkpoint.npz", "manifest.json", *TABLES, *CONTACT_TABLES, *FIGURES)
 KEPT_SWEEPS = (0, 1, 5, 25, 50, 100, 250, 500, 1000, 2500, 5000, 10_000)  # drawn in the figures
 CHECKPOINT_SECONDS = 2.0  # with sweeps shorter than this no more than 4 s are ever lost
-
-
-@dataclass
-class Run:
-    """A run under way: what it does, where it stands, and its manifest so far."""
-
-    folder: Path
-    settings: Settings
-    annealer: Annealer
-    state: AnnealState
-    kept: dict[int, np.ndarray]  # positions after some sweeps, for the figures
-    names: tuple[str, ...] | None
-    manifest: dict[str, Any]
-
-    def save(self) -> None:
-        """Write the checkpoint; the rows of sweeps.csv up to it must be on the disk before.
-
-        Only between spans of sweeps, where a longer run would be too: the odd sweeps at a run's end are
-        played again if it goes on.
-        """
-        if not renews_at(self.state.sweep):
-            return
-        kept = np.array(list(self.kept)), np.stack(list(self.kept.values()))
-        io.save_checkpoint(self.folder / "checkpoint.npz", io.Checkpoint(self.state, *kept))
-
-    def write_manifest(self, **news: Any) -> None:
-        """Write the manifest with what is new."""
-        self.manifest |= news
-        io.write_json(self.folder / "manifest.json", self.manifest)
 
 
 def run_annealing(folder: Path, settings: Settings, force: bool = False) -> int:
     """Anneal from the start into `folder` and return the exit code, 128 + signal for a run that was stopped.
 
-    Raises `ValueError` for bad settings or backbones, and for a folder that exists (unless forced) or can't
-    be written; nothing is written then.
+    Raises `ValueError` for bad settings or backbones, and for a folder that holds files (unless forced), that
+    another run is at, or that can't be written; nothing is written then.
     """
-    io.check_folder(folder, force)
-    with Stop() as stop:
-        return _go_on(_begin(folder, settings), stop)
+    check_folder(folder, force)
+    initial, names = initial_backbones(settings)
+    precise = jnp.result_type(float) == jnp.float64
+    settings = replace(settings, cells=len(initial), x64=precise)
+    annealer = settings.annealer(settings.sweeps)
+    with Stop() as stop, alone(folder):
+        check_folder(folder, force)  # another run may just have ended there
+        return _go_on(begin(folder, settings, annealer, initial, names), stop)
 
 
-def resume_annealing(folder: Path, settings: Settings, backbones: Path | None = None) -> int:
+def resume_annealing(folder: Path, given: Mapping[str, Any], finish: bool = False) -> int:
     """Take up the run in `folder` at its checkpoint and return the exit code, as `run_annealing`.
 
-    `settings` come from `saved_settings`; `backbones`, where given, must be those that the run began with.
-    A finished run is left as it is. Raises `ValueError` for other backbones and damaged files.
+    Of the `given` settings only `sweeps` may differ from those of the run, and only grow. To `finish` is to
+    leave what a run leaves, of the sweeps that were played; it can still be taken up afterwards. A finished
+    run is left as it is, unless it is to finish again. The run's own precision is used; a change of what else
+    decides bits is warned of. Raises `ValueError` for other settings or backbones, and for damaged files.
     """
-    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-    initial = io.read_backbones(folder / "initial_backbones.csv", settings.tube)
-    if backbones is not None:
-        given = io.read_backbones(backbones, settings.tube)
-        if given.names != initial.names or not np.array_equal(given.positions, initial.positions):
-            raise ValueError(f"--backbones {backbones} differs from the run to resume; leave it out")
-    if manifest["finished"] and settings.sweeps == manifest["arguments"]["sweeps"]:
-        _say(f"{folder} is finished after {manifest['final']['sweep']} sweeps; nothing to do")
-        return 0
-    checkpoint = io.load_checkpoint(folder / "checkpoint.npz")
-    io.cut_sweeps(folder / "sweeps.csv", checkpoint.state.sweep)
-    kept = dict(zip(checkpoint.kept_sweeps.tolist(), checkpoint.kept_positions, strict=True))
-    annealer = settings.annealer(manifest["cooling_sweeps"])
-    run = Run(folder, settings, annealer, checkpoint.state, kept, initial.names, manifest)
-    again = {"at_sweep": checkpoint.state.sweep} | provenance()
-    run.write_manifest(arguments=asdict(settings), finished=None, resumed=[*manifest["resumed"], again])
-    with Stop() as stop:
+    if not (folder / "checkpoint.npz").is_file():
+        raise ValueError(f"{folder} has no checkpoint to resume; leave --resume out to begin there")
+    if finish and "sweeps" in given:
+        raise ValueError("--finish plays no more sweeps; leave --sweeps out")
+    with Stop() as stop, alone(folder):
+        run = take_up(folder, given, finish)
+        if run is None:
+            say(f"{folder} is finished; nothing to do")
+            return 0
+        if changes := other_bits([run.manifest, *run.manifest["resumed"]][-1]):
+            say(f"warning: bits may not be those of a run in one piece: {changes}")
+        if finish and not run.manifest["finished"]:
+            run.cut()
+            _finish(run, ended=False)
+            return 0
+        run.note_resumption()
+        run.cut()
         return _go_on(run, stop)
-
-
-def _begin(folder: Path, settings: Settings) -> Run:
-    """A run before its first sweep, with its first checkpoint on the disk."""
-    tube, names = settings.tube, None
-    if settings.backbones:
-        initial, names = io.read_backbones(Path(settings.backbones), tube)
-    else:
-        initial = np.asarray(tube.random_positions(jax.random.key(settings.seed), settings.cells))
-    settings = replace(settings, cells=len(initial))
-    started = provenance()
-    annealer = settings.annealer(settings.sweeps)
-    _say(tell_memory(len(initial), tube, resolution_named(settings.resolution), 8 if settings.x64 else 4))
-    _say(f"annealing {len(initial)} cells in {folder}: compiling")
-    state = annealer.start(tube.reflect(jnp.asarray(initial)))
-    record = annealer.record(state)
-    io.make_folder(folder, FILES)
-    manifest = {"arguments": asdict(settings), "cooling_sweeps": settings.sweeps} | started
-    manifest |= {"finished": None, "compile_seconds": 0.0, "resumed": []}
-    run = Run(folder, settings, annealer, state, {0: state.positions}, names, manifest)
-    run.write_manifest()
-    io.write_backbones(folder / "initial_backbones.csv", initial, names)
-    with (folder / "sweeps.csv").open("w", encoding="utf-8", newline="") as table:
-        io.write_sweep(table, record)
-        os.fsync(table.fileno())
-    run.save()
-    return run
 
 
 def _go_on(run: Run, stop: Stop) -> int:
@@ -138,7 +90,7 @@ def _go_on(run: Run, stop: Stop) -> int:
     assert stop.signal is not None
     run.write_manifest()
     at = f"after sweep {run.state.sweep} of {run.settings.sweeps}"
-    _say(f"stopped by {stop.signal.name} {at}; continue with: jaxtissue anneal --out {run.folder} --resume")
+    say(f"stopped by {stop.signal.name} {at}; continue with: jaxtissue anneal --out {run.folder} --resume")
     return 128 + stop.signal
 
 
@@ -152,7 +104,7 @@ def _sweep(run: Run, stop: Stop) -> bool:
         return stalled or run.state.sweep >= settings.sweeps
 
     bar = tqdm(total=settings.sweeps, initial=run.state.sweep, desc="compiling", unit="sweep", disable=None)
-    with path.open("a", encoding="utf-8", newline="") as table, bar:
+    with open_own(path, "a") as table, bar:
         compiling, saved = True, time.monotonic()
         while not (ended() or stop.signal):
             last_chunk = settings.sweeps - run.state.sweep <= SPAN
@@ -162,13 +114,13 @@ def _sweep(run: Run, stop: Stop) -> bool:
                 saved = time.monotonic()
             run.state, records, trail = run.annealer.advance(run.state)
             for record, positions in zip(records, trail, strict=True):
-                io.write_sweep(table, record)
+                run.rows.update(io.write_sweep(table, record))
                 energies.append(record.energy)
                 if record.sweep in KEPT_SWEEPS:
                     run.kept[record.sweep] = positions
             if compiling:
                 compiling = False
-                _say(f"compiled in {run.annealer.compile_seconds:.1f} s; annealing")
+                say(f"compiled in {run.annealer.compile_seconds:.1f} s; annealing")
                 bar.set_description("annealing", refresh=False)
             bar.update(len(records))
             shown = {"energy": f"{records[-1].energy:.4g}", "acceptance": f"{records[-1].acceptance:.2f}"}
@@ -178,9 +130,10 @@ def _sweep(run: Run, stop: Stop) -> bool:
     return ended()
 
 
-def _finish(run: Run) -> None:
-    """Write what a finished run leaves: tables, figures, the manifest; print the result."""
-    _say("measuring and drawing" if run.settings.no_contacts else "measuring, tracing contacts, drawing")
+def _finish(run: Run, ended: bool = True) -> None:
+    """Write what a run leaves: tables, figures, the manifest, by which it is finished if it ended; print the
+    result."""
+    say("measuring and drawing" if run.settings.no_contacts else "measuring, tracing contacts, drawing")
     model, settings = run.annealer.model, run.settings
     resolution = resolution_named(settings.resolution)
     connectivity, place = None, run.state.positions
@@ -193,7 +146,7 @@ def _finish(run: Run) -> None:
         write_contacts(run.folder, connectivity)
         summary |= contact_summary(connectivity)
         if warning := contact_warning(connectivity):
-            _say(f"warning: {warning}")
+            say(f"warning: {warning}")
     shown = run.kept | {run.state.sweep: run.state.positions}
     fine = [measure_tissue(jnp.asarray(at), model.tube, PRESETS["fine"])[0] for at in shown.values()]
     fine_energy = [float(model.cell_energy(cells, model).sum()) for cells in fine]
@@ -211,7 +164,8 @@ def _finish(run: Run) -> None:
         _save_figure(run.folder / name, figure)
     energy = {"initial": sweeps["energy"][0], "final": sweeps["energy"][-1]}
     energy |= {"initial_fine": fine_energy[0], "final_fine": fine_energy[-1]}
-    run.write_manifest(energy=energy, final={"sweep": run.state.sweep} | summary, finished=now())
+    news = {"energy": energy, "final": {"sweep": run.state.sweep} | summary}
+    run.write_manifest(**news, finished=now() if ended else None, files=run.checksums(*RESULTS))
     _print_result(run)
 
 
@@ -222,7 +176,7 @@ def _a_few(sweeps: list[int], volumes: list[Array]) -> tuple[list[int], list[Arr
 
 
 def _save_figure(path: Path, figure: Figure) -> None:
-    with io.replacing(path, "wb") as file:
+    with replacing(path, "wb") as file:
         figure.savefig(file, format="png", dpi=150)
 
 
@@ -239,7 +193,3 @@ def _print_result(run: Run) -> None:
         if name in final:
             print(f"{name:17}{final[name]:.6g}")
     print(f"written to       {run.folder}")
-
-
-def _say(text: str) -> None:
-    tqdm.write(text, file=sys.stderr)

@@ -1,8 +1,9 @@
 """The arguments of an annealing run, as they are given, kept in its folder and held to when it is resumed."""
 
 import importlib.metadata
-import json
+import os
 import platform
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -17,8 +18,12 @@ from jaxtyping import Float
 from jaxtissue.anneal import Annealer
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import resolution_named
+from jaxtissue.lowering import options
 from jaxtissue.schedules import constant_schedule, geometric_schedule
 from jaxtissue.tube import Tube
+
+FORMAT = 1  # of what a folder keeps; raised when other code would play other sweeps, or read it otherwise
+DECISIVE = ("jaxtissue", "jax", "jaxlib", "numpy")  # packages whose versions may decide bits
 
 
 @dataclass(frozen=True)
@@ -69,19 +74,20 @@ class Settings:
         return Annealer(model, resolution_named(self.resolution), self.algorithm, self.seed, temperatures)
 
 
-def saved_settings(folder: Path, given: Mapping[str, Any]) -> Settings:
-    """The settings of the run in `folder`; of the `given` ones only `sweeps` may differ, and only grow.
+def saved_settings(manifest: Mapping[str, Any], given: Mapping[str, Any], place: str) -> Settings:
+    """The settings in a run's manifest; of the `given` ones only `sweeps` may differ, and only grow.
 
-    Raises `ValueError` for a folder without a checkpoint and for any other change, naming it.
+    Raises `ValueError` for any other change, naming it, and for a run in `place` that other code began, whose
+    sweeps this code would not continue.
     """
-    if not (folder / "checkpoint.npz").is_file():
-        raise ValueError(f"{folder} has no checkpoint to resume; leave --resume out to begin there")
+    if manifest.get("format") != FORMAT:
+        formats = f"format {manifest.get('format')}, this is {FORMAT}"
+        told = f"the run in {place} was begun by another version of jaxtissue ({formats})"
+        raise ValueError(f"{told}; start again with --force")
     try:
-        arguments = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["arguments"]
-        saved = Settings(**arguments)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        message = f"{folder / 'manifest.json'} is damaged ({error}); start again with --force"
-        raise ValueError(message) from error
+        saved = Settings(**manifest["arguments"])
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"the manifest in {place} is damaged ({error}); start again with --force") from error
     if given.get("backbones") and not saved.backbones:
         raise ValueError("--backbones is new: the run to resume began with random cells; leave it out")
     for name, value in given.items():
@@ -96,7 +102,7 @@ def saved_settings(folder: Path, given: Mapping[str, Any]) -> Settings:
 
 def versions() -> dict[str, str]:
     """The versions of Python and of the packages that results depend on."""
-    packages = ("jaxtissue", "jax", "jaxlib", "numpy", "scipy")
+    packages = (*DECISIVE, "scipy")
     return {"python": platform.python_version()} | {name: version_of(name) or "unknown" for name in packages}
 
 
@@ -110,13 +116,36 @@ def version_of(package: str) -> str | None:
 
 def provenance() -> dict[str, Any]:
     """When and with what something is computed."""
+    device = jax.devices()[0]
     return {
         "started": now(),
         "versions": versions(),
         "platform": platform.platform(),
-        "device": str(jax.devices()[0]),
+        "device": str(device),
         "dtype": str(jnp.result_type(float)),
+        "device_kind": device.device_kind,
+        "processor": processor(),
+        "compiler": options() | {"XLA_FLAGS": os.environ.get("XLA_FLAGS", "")},
     }
+
+
+def processor() -> str:
+    """Name and widest vectors of the processor, as far as the system tells: bits depend on these."""
+    info = Path("/proc/cpuinfo")
+    told = info.read_text(errors="replace") if info.is_file() else ""
+    name = re.search(r"^model name\s*: (.*)", told, re.MULTILINE)
+    vectors = next((kind for kind in ("avx512f", "avx2", "avx") if re.search(rf"\b{kind}\b", told)), "")
+    return ", ".join(filter(None, (name[1] if name else platform.processor(), vectors)))
+
+
+def other_bits(before: Mapping[str, Any]) -> str:
+    """What decides the bits of a result and is not now as it was `before`, in words; empty where all is."""
+    present = provenance()
+    kinds = {"device_kind": "device", "processor": "processor", "compiler": "compiler"}
+    pairs = [(told, before.get(name), present[name]) for name, told in kinds.items()]
+    pairs += [(name, before.get("versions", {}).get(name), present["versions"][name]) for name in DECISIVE]
+    changes = [f"{name} {then} and now {here}" for name, then, here in pairs if then != here]
+    return "; ".join(changes)
 
 
 def now() -> str:

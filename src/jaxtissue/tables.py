@@ -16,6 +16,7 @@ from jaxtissue import io
 from jaxtissue.diagrams import measure_tissue
 from jaxtissue.energy import Model
 from jaxtissue.exact import exact_cells
+from jaxtissue.files import replacing
 from jaxtissue.lines import PRESETS, Resolution
 from jaxtissue.names import printable
 from jaxtissue.spread import covering_radius, separation
@@ -94,7 +95,7 @@ def write_contacts(
     cells = zip(("cell_a", "cell_b", "cell_c", "cell_d"), transitions.cells.T, strict=True)
     io.write_table(folder / "transitions.csv", points | dict(cells))
     if columns is not None:
-        with io.replacing(folder / "graph.graphml", "wb") as file:
+        with replacing(folder / "graph.graphml", "wb") as file:
             nx.write_graphml(tissue_graph(connectivity, _printable(columns)), file)
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtissue import io
 from jaxtissue.diagrams import measure_tissue
+from jaxtissue.files import replacing, write_json
 from jaxtissue.reproduction.tissues import Annealing, History, anneal_history
 from jaxtissue.reproduction.workers import Workers
 from jaxtissue.spread import covering_radius, separation
@@ -106,7 +106,7 @@ class Store:
         """The row as it is found from now on."""
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / f"{name}.json"
-        io.write_json(path, {"format": FORMAT, "row": row})
+        write_json(path, {"format": FORMAT, "row": row})
         self.renewed.add(path)
         return json.loads(path.read_text(encoding="utf-8"))["row"]
 
@@ -126,7 +126,7 @@ class Store:
         for number, history in self.workers.run(anneal_history, calls):
             path, done = paths[missing[number]], done + 1
             columns: dict[str, Any] = {"format": FORMAT, "positions": history.positions}
-            with io.replacing(path, "wb") as file:
+            with replacing(path, "wb") as file:
                 np.savez(file, allow_pickle=False, **columns, **history.records)
             self.renewed.add(path)
             self.say(f"annealed {path.stem.replace('_', ' ')} ({done} of {len(missing)})")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxtissue import io
+from jaxtissue.files import make_folder, replacing, write_json
 from jaxtissue.reproduction.claims import Claim
 from jaxtissue.reproduction.experiments import FORMAT, QUICK, Plan, Store, Table
 from jaxtissue.reproduction.items import ITEMS, Product
@@ -60,7 +61,7 @@ def reproduce(
         files = _write(folder, item, ITEMS[item](plan, store))
         seconds = time.perf_counter() - begun
         manifest["items"][item] = {"seconds": seconds, "finished": now(), "files": files} | provenance()
-        io.write_json(folder / "manifest.json", manifest)
+        write_json(folder / "manifest.json", manifest)
         _say(f"{item} done in {seconds:.1f} s")
         _report(folder, plan, manifest)
     _report(folder, plan, manifest)
@@ -92,8 +93,8 @@ def _open(folder: Path, plan: Plan, force: bool) -> dict[str, Any]:
             other = next((name for name in arguments if planned.get(name) != arguments[name]), "quick")
             found = f"{folder} holds a {kind} run with {other} = {planned.get(other)}, not {arguments[other]}"
             raise ValueError(f"{found}; choose another or add --force")
-    io.make_folder(folder)
-    io.write_json(path, manifest)  # whoever is stopped at the first item finds the folder theirs
+    make_folder(folder)
+    write_json(path, manifest)  # whoever is stopped at the first item finds the folder theirs
     return manifest
 
 
@@ -108,7 +109,7 @@ def _write(folder: Path, item: str, product: Product) -> list[str]:
         files.append(f"{item}{ending}.csv")
         io.write_table(folder / files[-1], table)
     files.append(f"{item}.png")
-    with io.replacing(folder / files[-1], "wb") as file:
+    with replacing(folder / files[-1], "wb") as file:
         product.figure.savefig(file, format="png", dpi=150)
     return files
 
@@ -119,7 +120,7 @@ def _report(folder: Path, plan: Plan, manifest: dict[str, Any]) -> None:
     tables = {path.stem: read_table(path) for path in files if path.suffix == ".csv"}
     claims = judge_items(tables, plan, made)
     text = write_report(claims, plan, {item: manifest["items"][item] for item in made}, tables)
-    with io.replacing(folder / "report.md", "w") as file:
+    with replacing(folder / "report.md", "w") as file:
         file.write(text)
     columns = {name: np.array([getattr(claim, name) for claim in claims]) for name in Claim._fields}
     io.write_table(folder / "report.csv", columns)
