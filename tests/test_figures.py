@@ -32,7 +32,7 @@ def test_times_stand_beside_the_papers():
     figure, axes = plot_times(times()["table1"])
     assert rendered(figure) and "seconds" in axes[0].get_ylabel() and axes[0].get_xlabel() == "cells"
     name = "MH, whole diagrams (extrapolated), $R_a$ = 1"
-    ours, theirs = line(axes[0], name), line(axes[0], f"{name}, paper")
+    ours, theirs = line(axes[0], name), line(axes[0], "the paper's MH, $R_a$ = 1")
     assert list(ours.get_ydata()) == list(theirs.get_ydata()) == [47.1, 703.8, 2525.0]
     assert list(line(axes[1], "near, $R_a$ = 5").get_ydata()) == [10, 14, 15]
     assert theirs.get_markerfacecolor() == "white"

@@ -41,7 +41,8 @@ def plot_times(table: Table) -> tuple[Figure, np.ndarray]:
             axes[0].plot(rows["cells"], rows[f"{name}_seconds"], dashes, label=here, **look)
             if theirs:
                 seconds = [getattr(row, theirs) for row in paper if row]
-                axes[0].plot(told, seconds, dashes, alpha=0.6, mfc="white", label=f"{here}, paper", **look)
+                here = f"the paper's {label.partition(',')[0]}, $R_a$ = {radius:g}"
+                axes[0].plot(told, seconds, dashes, alpha=0.6, mfc="white", label=here, **look)
         for (rule, name), color in zip(RULES.items(), _RULE_COLORS, strict=True):
             label = f"{name.replace('-phi', ' phi')}, $R_a$ = {radius:g}"
             look = {"marker": "o", "ms": size, "color": color}

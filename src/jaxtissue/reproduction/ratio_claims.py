@@ -53,7 +53,7 @@ def judge_neighbors(tables: Mapping[str, Table], plan: Plan) -> Claims:
     phi = (f"{name.replace('_', ' ')} {table[name].min():.3g} to {table[name].max():.3g}"
            for name in ("tightness", "covering_radius"))  # fmt: skip
     ours = f"at most {most:.0%} of the bound; {', '.join(phi)}"
-    why = "phi is the tightness here; it is so large that the bounds say little"
+    why = "phi is the tightness here; where it is large, as in annealed tissue, the bounds say little"
     says = "Lemmas 1 and 2 and Corollary 1 bound the numbers of neighbors by phi"
     claims.add(says, ("proved", ours), most <= 1 if bounds else None, "in every tissue, annealed or not", why)
     _add_gland(claims, table, "neighbors", published.GLAND.neighbors)
@@ -89,7 +89,7 @@ def judge_transitions(tables: Mapping[str, Table], plan: Plan) -> Claims:
     verdict, why = (judge(None), QUICK_SIZES) if plan.quick else (judge_ranges(found, share), "")
     says = f"over 90 % of the cells are scutoids at ratios of {ratio:g} and more"
     claims.add(says, numbers, verdict, "at every such ratio, by the 95 % interval", why)
-    _judge_law(claims, "so does the number of transition points", mean, "transitions")
+    _judge_law(claims, "the number of transition points grows as a logistic function", mean, "transitions")
     turns, neighbors = ((mean[name][0], mean[name][-1]) for name in ("transitions", "neighbors"))
     ours = "{:.2f} to {:.2f} (neighbors {:.2f} to {:.2f})".format(*turns, *neighbors)
     met = turns[0] < neighbors[0] and turns[1] < neighbors[1]
@@ -110,7 +110,7 @@ def judge_kinds(tables: Mapping[str, Table], plan: Plan) -> Claims:
     claims.add("at small ratios neighbors touch on both surfaces", numbers, first >= 0.8, "at least 80 %")
     met = both[-1] < min(apical[-1], basal[-1], both[0])
     numbers = "words", f"{both[0]:.2f} to {both[-1]:.2f}; only apical {apical[-1]:.2f}, basal {basal[-1]:.2f}"
-    says = "their number shrinks and falls below those of only apical and only basal neighbors"
+    says = "neighbors on both surfaces become fewer than only apical and only basal ones as the ratio grows"
     claims.add(says, numbers, met, "at the largest ratio")
     differ = np.abs(apical - basal) / np.maximum((apical + basal) / 2, 1e-9)
     for name, chosen in (("up to 10", mean["ratio"] <= 10), ("above 10", mean["ratio"] > 10)):

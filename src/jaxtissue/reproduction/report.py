@@ -46,9 +46,9 @@ criterion beside it:
 - A mean over the runs counts with its 95 % interval (Student's t), and a time with its smallest and largest
   value over turns in which all algorithms are timed one after the other. Where these lie on both sides of
   the criterion, the verdict is `{NOISY}`. Times in parentheses are the smallest and the largest.
-- Energies, at the start and at the end, have one criterion: the 95 % interval of the ratio of the means has
-  to be within {100 * ENERGIES:g} % of 1, or within as much of the range read off the paper. The paper gives
-  no scatter for its means of 10 runs, so that of ours is taken for them.
+- Energies, at the start and at the end, have one criterion: they have to agree within {100 * ENERGIES:g} %,
+  by the 95 % interval. At the end it is that of the ratio IS-MH / MH of the seeds. At the start the paper's
+  is a mean of 10 runs, read off a figure as a range; so it is where a mean of 10 runs like ours lies.
 - The paper prints phi without saying how it was measured. By its Definition 1 it is the covering radius
   (the largest distance of a point of the tissue to its nearest backbone) in units of the separation (the
   smallest distance of two backbones), which we call tightness. Both readings are judged, each by itself.
@@ -95,8 +95,9 @@ def write_report(
 def summarize(claims: Sequence[Claim]) -> str:
     """What is met, what is not and why, in words; statements with one verdict and one reason are merged."""
     count = Counter(claim.verdict for claim in claims)
-    counts = ", ".join(f"{count[verdict]} {verdict}" for verdict in VERDICTS)
-    lines = [f"\nOf the paper's statements {len(claims)} are set beside what was found here: {counts}.\n"]
+    counted = [f"{count[verdict]} {'is' if count[verdict] == 1 else 'are'} {verdict}" for verdict in VERDICTS]
+    told = "{}, {}, {} to judge, and {}".format(*counted)
+    lines = [f"\n{len(claims)} statements of the paper are set beside what was found here: {told}.\n"]
     for verdict in VERDICTS:
         groups: dict[str, list[str]] = {}
         for claim in claims:

@@ -1,7 +1,7 @@
 """What the paper says of cells, energy, volumes and phi (Figs. 5 to 11), judged as in `claims`.
 
-All statements on energies have one criterion: the 95 % interval of the ratio of the two mean energies must
-lie within `ENERGIES` of 1, or within as much of the range that is read off the paper.
+All statements on energies have one criterion: they must agree within `ENERGIES`, by the 95 % interval of the
+ratio of MH and IS-MH, or of a mean of as many runs as the paper's, whose range is read off its figure.
 """
 
 from collections.abc import Mapping
@@ -51,7 +51,7 @@ def judge_cell(tables: Mapping[str, Table], plan: Plan) -> Claims:
     middle = float(np.median(after[small])) / mean if small.any() else np.nan
     numbers = paper, f"median of {small.sum()} cells: {middle:.0%}" if small.any() else "no such cell"
     met = None if plan.quick or not small.any() else near(middle, 1, 0.1)
-    says = "so do cells that begin below a quarter of the mean volume"
+    says = "cells that begin below a quarter of the mean volume grow to about the mean"
     claims.add(
         says, numbers, met, "their median ends within 10 % of the mean", QUICK_SIZES if plan.quick else ""
     )
@@ -87,7 +87,7 @@ def _judge_run(claims: Claims, table: Table, radius: float, plan: Plan) -> None:
     claims.add(f"the energy falls steeply at first, {at}", numbers, met, "at least half of the fall", why)
     numbers = "words", f"{late:.1%} of the fall is in the last quarter"
     met = None if plan.quick else 0 <= late <= 0.1
-    claims.add(f"then it converges slowly, {at}", numbers, met, "0 to 10 % of the fall", why)
+    claims.add(f"the energy falls slowly in the end, {at}", numbers, met, "0 to 10 % of the fall", why)
     last, other = energy[:, -1], by_seed(table, radius, "mh", "energy")[:, -1]
     low, high = mean_range(last / other)
     ours = (
@@ -114,13 +114,11 @@ def _judge_run(claims: Claims, table: Table, radius: float, plan: Plan) -> None:
 
 
 def _judge_start(claims: Claims, start: np.ndarray, at: str, plan: Plan) -> None:
-    """The energy of random tissue. The paper's mean of 10 runs is taken to scatter as ours does."""
+    """The energy of random tissue; the paper's is a mean of 10 runs, taken to scatter as ours do."""
     low, high = mean_range(start, _PAPERS_SEEDS)
     least, most = published.START_ENERGY
     verdict = judge_range((low, high), (1 - ENERGIES) * least, (1 + ENERGIES) * most)
-    ours = (
-        f"{start.mean():,.0f}; 95 % interval of the difference of two such means: {low:,.0f} to {high:,.0f}"
-    )
+    ours = f"{start.mean():,.0f}; a mean of 10 such runs is within {low:,.0f} to {high:,.0f} (95 %)"
     why = {"met": "", "too noisy": _SCATTER}.get(verdict, _GEOMETRY)
     if plan.quick:
         verdict, why = judge(None), QUICK_SIZES
