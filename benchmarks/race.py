@@ -83,7 +83,7 @@ def race(radius: float, n: int, peer: Peer | None, arguments: Any) -> dict[str, 
     """One configuration: everybody's turn, and that several times over; medians of the seconds."""
     tube = jt.Tube(100.0, radius, 10.0)
     place = np.asarray(tube.random_positions(jax.random.key(0), n))
-    sizes = {name: jt.resolution_named(name) for name in arguments.resolutions}
+    sizes = {name: jt.as_resolution(name) for name in arguments.resolutions}
     ours: dict[str, list] = {name: [] for name in arguments.resolutions}
     theirs: dict[tuple[str, int], list] = {rival: [] for rival in product(ALGORITHMS, SAMPLES)}
     for size in sizes.values():  # compiled before the race

@@ -135,7 +135,7 @@ def test_places_too_coarse_for_the_moves_are_told() -> None:
     with pytest.warns(
         UserWarning, match=r"0.016 apart in float32, and moves are of 0.16 at most; use 64 bits"
     ):
-        run.start(np.ones((10**6, 2)))
+        run.start(np.random.default_rng(0).random((10**6, 2)) * [200_000, 6])
 
 
 def test_starting_again_from_an_array_that_was_overwritten() -> None:

@@ -186,4 +186,4 @@ def test_images_reject_what_they_cannot_hold():
         with pytest.raises(ValueError, match=f"spacing={spacing}"):
             image_mask(TUBE, spacing)
     with pytest.raises(ValueError, match="65536 cells"):
-        label_image(jnp.zeros((65536, 2)), TUBE, 1.0)
+        label_image(TUBE.random_positions(jax.random.key(0), 65536), TUBE, 1.0)

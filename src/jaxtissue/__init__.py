@@ -19,8 +19,9 @@ from jaxtissue.diagrams import Gauge, measure_tissue
 from jaxtissue.edges import trace_edges
 from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
 from jaxtissue.exact import ExactDiagram, exact_cells
+from jaxtissue.inputs import as_positions
 from jaxtissue.laws import NeighborLaw, bound_ratios, fit_neighbor_law
-from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines, resolution_named
+from jaxtissue.lines import PRESETS, Lines, Resolution, as_resolution, plan_lines
 from jaxtissue.metropolis import Order, SweepInfo, sweep
 from jaxtissue.records import SweepRecord
 from jaxtissue.sampling import cartesian_voxels, cylindrical_voxels
@@ -66,6 +67,8 @@ __all__ = [
     "Transitions",
     "Tube",
     "advance_together",
+    "as_positions",
+    "as_resolution",
     "bound_ratios",
     "cartesian_voxels",
     "cells_for_unit_volume",
@@ -95,7 +98,6 @@ __all__ = [
     "plan_lines",
     "polygon_classes",
     "record_together",
-    "resolution_named",
     "separation",
     "sided",
     "summarize_connectivity",

@@ -14,7 +14,8 @@ from jaxtissue.cells import CellGeometry
 from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.coloring import CONFLICTS
 from jaxtissue.energy import Model
-from jaxtissue.lines import Lines, Resolution
+from jaxtissue.inputs import as_positions, check_count
+from jaxtissue.lines import Lines, Resolution, as_resolution
 from jaxtissue.metropolis import draw, warn_of_coarse_places
 from jaxtissue.programs import Ahead, Asker, Request, Task, run_together
 from jaxtissue.records import Measured, SweepRecord, least_around, shortlisted, sweep_record
@@ -57,7 +58,7 @@ class Annealer:
     def __init__(
         self,
         model: Model,
-        resolution: Resolution,
+        resolution: Resolution | str,
         algorithm: str,
         seed: int,
         temperatures: Float[np.ndarray, "sweeps"],
@@ -74,11 +75,11 @@ class Annealer:
             raise ValueError("temperatures must be finite and at least 0; change the schedule")
         dtype = jnp.result_type(float)
         self.model = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), model)
-        self.resolution, self.algorithm, self.conflicts = resolution, algorithm, conflicts
+        self.resolution, self.algorithm, self.conflicts = as_resolution(resolution), algorithm, conflicts
         self.seed, self.temperatures = seed, temperatures
         self._exactness = EXACT * float(jnp.finfo(dtype).eps) * float(self.model.mean_volume)
         self._asker = Asker()
-        self._surveyor = Surveyor(self.model, resolution, self._asker)
+        self._surveyor = Surveyor(self.model, self.resolution, self._asker)
 
     @property
     def compile_seconds(self) -> float:
@@ -88,9 +89,11 @@ class Annealer:
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
         """The state before the first sweep.
 
-        Warns where axial places are too coarse for the moves in this precision.
+        Raises `ValueError` for positions that `as_positions` refuses, and for another number of cells than
+        the model's. Warns where axial places are too coarse for the moves in this precision.
         """
-        own = np.array(positions, jnp.result_type(float))  # a copy, as results are kept by array
+        own = np.asarray(as_positions(positions, self.model.tube))
+        check_count(len(own), self.model.tube, float(self.model.mean_volume))
         warn_of_coarse_places(self.model, len(own), own.dtype)
         return AnnealState(0, own)
 

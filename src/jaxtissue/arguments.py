@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from jaxtissue.lines import resolution_named
+from jaxtissue.lines import as_resolution
 from jaxtissue.settings import Settings
 
 TUBE_SIZES = ("length", "apical_radius", "basal_radius")
@@ -213,7 +213,7 @@ def _part(text: str) -> tuple[int, int]:
 
 def _resolution(text: str) -> str:
     try:
-        resolution_named(text)
+        as_resolution(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
     return text

@@ -4,11 +4,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxtissue.anneal import AnnealState, advance_together, record_together
+from jaxtissue.anneal import Annealer, AnnealState, advance_together, record_together
 from jaxtissue.records import SweepRecord
 from jaxtissue.settings import Settings
 from jaxtissue.statistics import find_connectivity, summarize_connectivity
@@ -43,7 +42,7 @@ def anneal_batch(
     every span of sweeps; where it says no, there is no outcome.
     """
     annealers = [row.annealer(row.sweeps) for row in rows]
-    states = [_start(row) for row in rows]
+    states = [_start(annealer, row) for annealer, row in zip(annealers, rows, strict=True)]
     records = [[record] for record in record_together(annealers, states, slots)]
     while states[0].sweep < rows[0].sweeps:
         if not go_on([some[-1] for some in records]):
@@ -55,11 +54,10 @@ def anneal_batch(
     return [Outcome(some, state.positions) for some, state in zip(records, states, strict=True)]
 
 
-def _start(row: Settings) -> AnnealState:
+def _start(annealer: Annealer, row: Settings) -> AnnealState:
     """The state before the first sweep, as in a run of its own."""
     tube = row.tube
-    initial = tube.reflect(tube.random_positions(jax.random.key(row.seed), row.cells))
-    return AnnealState(0, np.asarray(initial, jnp.result_type(float)))
+    return annealer.start(tube.reflect(tube.random_positions(jax.random.key(row.seed), row.cells)))
 
 
 def summarize(row: Settings, outcome: Outcome) -> dict[str, Any]:

@@ -17,7 +17,6 @@ from jaxtissue.energy import tube_model
 from jaxtissue.files import check_folder, make_folder, write_json
 from jaxtissue.grid_runs import check_grid_folder, run_grid
 from jaxtissue.grids import AXES, Grid
-from jaxtissue.lines import resolution_named
 from jaxtissue.programs import keep_compiled
 from jaxtissue.reproduction.reproduce import choose_items, make_plan, reproduce
 from jaxtissue.reproduction.workers import Workers, free_cores
@@ -122,8 +121,7 @@ def measure(arguments: dict[str, Any]) -> int:
     _say(f"measuring {len(place)} cells")
     model = tube_model(tube, len(place), arguments["modulus"], arguments["tension"])
     begun = time.perf_counter()
-    resolution = resolution_named(arguments["resolution"])
-    columns, summary = tabulate_cells(place, model, resolution, backbones.names, connectivity)
+    columns, summary = tabulate_cells(place, model, arguments["resolution"], backbones.names, connectivity)
     summary["seconds"] = time.perf_counter() - begun
     make_folder(folder, CONTACT_TABLES)
     io.write_table(folder / "cells.csv", columns)

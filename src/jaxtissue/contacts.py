@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import roots_jacobi
 
 from jaxtissue.edges import EdgeGraph, trace_edges
+from jaxtissue.inputs import as_positions
 from jaxtissue.leads import BOUNDS, TINY, Leads, cross, dot, ranges
 from jaxtissue.tube import Tube
 
@@ -76,6 +77,7 @@ def find_contacts(
     """
     if not threshold >= 0:
         raise ValueError(f"threshold={threshold}; give a fraction of the mean wall, 0 or more")
+    positions = as_positions(positions, tube, np.float64)
     graph = trace_edges(positions, tube) if edges is None else edges
     faces = find_faces(graph)
     length = _edge_lengths(graph)[faces.edge]

@@ -14,7 +14,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxtissue.candidates import TILES, complete_lists, find_defect
 from jaxtissue.cells import CellGeometry, measure_cells
-from jaxtissue.lines import PRESETS, Lines, Resolution, plan_lines
+from jaxtissue.inputs import as_positions
+from jaxtissue.lines import Lines, Resolution, as_resolution, plan_lines
 from jaxtissue.lowering import options
 from jaxtissue.shortlists import (
     CANDIDATES,
@@ -36,21 +37,22 @@ UNFILLED = 0.02  # of the tube, by which volumes may differ in sum: of lattices 
 def measure_tissue(
     positions: Positions,
     tube: Tube,
-    resolution: Resolution = PRESETS["standard"],
+    resolution: Resolution | str = "standard",
     surfaces: bool = True,
 ) -> tuple[CellGeometry, float]:
     """Sizes of every cell of a tissue, and the defect of an exact sum over all cells.
 
     The defect is the largest relative error of the cells' lengths summed along a line, `tiling_defect`: 0 to
     rounding unless a candidate list overflowed. Lists are grown until nothing overflows, so this takes
-    concrete arrays; inside `jit` call `measure_cells`. Positions as (axial, angle), [n, 2]. Without
-    `surfaces`, areas and perimeters on them are left out.
+    concrete arrays; inside `jit` call `measure_cells`. Positions as (axial, angle), [n, 2], in any form that
+    `as_positions` takes; a resolution as `as_resolution` does. Without `surfaces`, areas and perimeters on
+    them are left out.
 
-    Raises `ValueError` for positions that are not finite or outside the tube. Warns where the volumes do not
+    Raises `ValueError` for positions that `as_positions` refuses. Warns where the volumes do not
     add up to the tube's: then some cells are narrower than lines are apart, as those of many backbones that
     stand almost level.
     """
-    tube.require_inside(positions)
+    positions, resolution = as_positions(positions, tube), as_resolution(resolution)
     sides, defect = complete_lists(positions, tube)
     lines = plan_lines(tube, len(positions), resolution, surfaces=surfaces)
     cells = _measure(positions, jax.tree.map(np.asarray, (tube, lines, sides)))
@@ -81,26 +83,24 @@ class Gauge:
 
     >>> tube = Tube(length=40, apical_radius=2, basal_radius=6)
     >>> positions = tube.random_positions(jax.random.key(0), 100)
-    >>> gauge = Gauge(tube, PRESETS["draft"])
+    >>> gauge = Gauge(tube, "draft")
     >>> first = gauge.measure(positions)
     >>> turned = gauge.measure(positions + jnp.array([0, 0.01]))
     >>> gauge.renewals, bool(abs(turned.volume - first.volume).max() < 1e-3)
     (1, True)
     """
 
-    def __init__(
-        self, tube: Tube, resolution: Resolution = PRESETS["standard"], surfaces: bool = False
-    ) -> None:
-        self.tube, self.resolution, self.surfaces = tube, resolution, surfaces
+    def __init__(self, tube: Tube, resolution: Resolution | str = "standard", surfaces: bool = False) -> None:
+        self.tube, self.resolution, self.surfaces = tube, as_resolution(resolution), surfaces
         self.renewals = 0
         self._kept: Kept | None = None
 
     def measure(self, positions: Positions, check: bool = True) -> CellGeometry:
         """Sizes of all cells of the tissue where it is now.
 
-        Raises `ValueError` for positions that are not finite or outside the tube.
+        Raises `ValueError` for positions that `as_positions` refuses.
         """
-        self.tube.require_inside(positions)
+        positions = as_positions(positions, self.tube)
         kept, lacks = self._kept, True
         if kept and len(kept.sides) == len(positions):
             lacks = check and find_defect(positions, self.tube, kept.sides) >= TILES

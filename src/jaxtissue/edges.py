@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 
 from jaxtissue.fronts import GOING, HOME, LOST, Fronts, begin, passes, refine, step
+from jaxtissue.inputs import as_positions
 from jaxtissue.leads import TOUCH, Leads, ranges
 from jaxtissue.tube import Tube
 
@@ -52,6 +53,7 @@ def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
     that no edge joins to a wall beside a backbone are not seen: closed edges within the tissue. Paper,
     section 4.1.
     """
+    positions = as_positions(positions, tube, np.float64)
     graph = _trace(Leads(positions, tube))
     for care in CARE:
         if graph.open_ends:  # some step crossed a wall and crossed it back

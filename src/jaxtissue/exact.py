@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float64, Int64
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree, Voronoi
 
+from jaxtissue.inputs import as_positions
 from jaxtissue.tube import Tube
 
 _Fields = TypeVar("_Fields", "_Planes", "_Edges")
@@ -80,13 +81,13 @@ def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDia
     backbones: the facets zigzag around the wall and are larger. Only walls between cells count. Angles in
     radians. The volumes add up to the tube's for every number of samples, errors fall with its square.
 
-    Raises `ValueError` for positions that are not finite or outside the tube, backbones that coincide and
-    fewer than two samples. Paper: Definition 3, sections 3.1 and 4.1.
+    Raises `ValueError` for positions that `as_positions` refuses, backbones that nearly coincide and fewer
+    than two samples. Paper: Definition 3, sections 3.1 and 4.1.
     """
     if samples < 2:
         raise ValueError(f"samples = {samples}: a backbone needs its two ends, give samples >= 2")
     half, apical, basal = float(tube.length) / 2, float(tube.apical_radius), float(tube.basal_radius)
-    tube.require_inside(positions)
+    positions = as_positions(positions, tube, np.float64)
     backbones = _backbones(positions, half, apical, basal)
     facets = _dual_facets(backbones, half, samples)
     inner, outer = _Clip(apical, half), _Clip(basal, half)

@@ -17,7 +17,6 @@ from jaxtissue.batches import Outcome, anneal_batch, batches, summarize, usual_b
 from jaxtissue.cluster import Part
 from jaxtissue.files import check_folder, make_folder, replacing, write_json
 from jaxtissue.grids import Grid, describe
-from jaxtissue.lines import resolution_named
 from jaxtissue.memory import tell_memory
 from jaxtissue.plot import plot_grid
 from jaxtissue.records import SweepRecord
@@ -87,8 +86,8 @@ def run_grid(folder: Path, grid: Grid, part: Part, force: bool = False, batch: i
 def _memory(rows: Sequence[Settings], batch: int) -> str:
     """What the largest rows will take together."""
     largest = max(rows, key=lambda row: row.cells)
-    resolution, float_bytes = resolution_named(largest.resolution), 8 if largest.x64 else 4
-    return tell_memory(largest.cells, largest.tube, resolution, float_bytes, min(batch, len(rows)))
+    float_bytes, count = 8 if largest.x64 else 4, min(batch, len(rows))
+    return tell_memory(largest.cells, largest.tube, largest.resolution, float_bytes, count)
 
 
 def check_grid_folder(folder: Path, grid: Grid, force: bool) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 from scipy import sparse
@@ -14,8 +13,9 @@ from scipy.optimize import OptimizeWarning, curve_fit
 from scipy.special import expit
 
 from jaxtissue.contacts import Contacts
+from jaxtissue.inputs import as_positions
 from jaxtissue.spread import covering_radius, neighbor_bound, separation, tube_neighbor_bound
-from jaxtissue.statistics import Connectivity, inside
+from jaxtissue.statistics import Connectivity
 from jaxtissue.tube import Tube
 
 EXTREME = 50.0  # ln of a surface ratio that no tissue has
@@ -107,7 +107,7 @@ def bound_ratios(
     >>> [(row["bound"], row["measured"], row["ratio"] < 1) for row in rows]
     [('Lemma 1', 3, True), ('Lemma 2', 3, True), ('Corollary 1', 3, True)]
     """
-    place = jnp.asarray(inside(np.asarray(positions, float), float(tube.length)))
+    place = as_positions(positions, tube, sizes=False)
     apart = float(separation(place, tube))
     phi = float(covering_radius(place, tube)) / apart if apart > 0 else math.inf
     length = float(tube.basal_radius - tube.apical_radius) / apart if apart > 0 else math.inf

@@ -29,25 +29,29 @@ INSET = 0.37  # about (sqrt(3) - 1) / 2, of the best rules for natural splines
 PRESETS = {"draft": Resolution(4, 4), "standard": Resolution(7, 8), "fine": Resolution(10, 10)}
 
 
-def resolution_named(name: str) -> Resolution:
-    """A preset (`draft`, `standard`, `fine`), or layers and density written as `8x10`.
+def as_resolution(given: str | Resolution | tuple[int, float]) -> Resolution:
+    """A resolution as it is, of a preset's name (`draft`, `standard`, `fine`), or written as `8x12`.
 
-    >>> resolution_named("8x10")
-    Resolution(layers=8, density=10.0)
-    >>> resolution_named("sharp")
+    Every function that takes a resolution takes any of these. Raises `ValueError` for another name, and for
+    layers or a density that are not within 1 and 64.
+
+    >>> as_resolution("8x12")
+    Resolution(layers=8, density=12.0)
+    >>> as_resolution("sharp")
     Traceback (most recent call last):
-    ValueError: unknown resolution 'sharp'; use draft, standard, fine or LAYERSxDENSITY such as 8x10
+    ValueError: unknown resolution 'sharp'; use draft, standard, fine or LAYERSxDENSITY such as 8x12
     """
-    if name in PRESETS:
-        return PRESETS[name]
-    layers, _, density = name.partition("x")
+    if isinstance(given, str) and given in PRESETS:
+        return PRESETS[given]
     try:
+        layers, density = given.split("x") if isinstance(given, str) else given
         resolution = Resolution(int(layers), float(density))
-    except ValueError:
-        resolution = Resolution(0, 0.0)
-    if not (1 <= resolution.layers <= 64 and 1 <= resolution.density <= 64):
+        whole = isinstance(layers, str) or resolution.layers == layers
+    except (TypeError, ValueError):
+        resolution, whole = Resolution(0, 0.0), False
+    if not (whole and 1 <= resolution.layers <= 64 and 1 <= resolution.density <= 64):
         known = ", ".join(PRESETS)
-        raise ValueError(f"unknown resolution {name!r}; use {known} or LAYERSxDENSITY such as 8x10")
+        raise ValueError(f"unknown resolution {given!r}; use {known} or LAYERSxDENSITY such as 8x12")
     return resolution
 
 
@@ -110,7 +114,7 @@ class Lines(eqx.Module):
 
 
 def plan_lines(
-    tube: Tube, cells: int, resolution: Resolution, reach: float = REACH, surfaces: bool = False
+    tube: Tube, cells: int, resolution: Resolution | str, reach: float = REACH, surfaces: bool = False
 ) -> Lines:
     """The lines for a tube of `cells` cells, in windows of `reach` mean cell widths to either side.
 
@@ -118,6 +122,7 @@ def plan_lines(
     lines per width, more the farther out, where cells are larger and errors weigh more; the surfaces, which
     carry no volume, have 1.5 times. At least 16 lines run once round the outermost and the surfaces.
     """
+    resolution = as_resolution(resolution)
     radius, weight = layer_rule(tube, resolution.layers)
     if surfaces:
         ends = float(tube.apical_radius), float(tube.basal_radius)

@@ -14,7 +14,7 @@ SCRATCH = 1.8  # bytes that are allocated at the peak for each that is counted h
 
 
 def estimate_memory(
-    cells: int, tube: Tube, resolution: Resolution, replicas: int = 1, float_bytes: int = 4
+    cells: int, tube: Tube, resolution: Resolution | str, replicas: int = 1, float_bytes: int = 4
 ) -> int:
     """Peak memory of an annealing run in bytes: a base, and so much for each cell of each replica.
 
@@ -62,7 +62,7 @@ def memory_warning(needed: int, available: int | None) -> str | None:
 
 
 def tell_memory(
-    cells: int, tube: Tube, resolution: Resolution, float_bytes: int = 4, replicas: int = 1
+    cells: int, tube: Tube, resolution: Resolution | str, float_bytes: int = 4, replicas: int = 1
 ) -> str:
     """What is said before a run: about how much memory it takes, or a warning if there is not so much."""
     needed = estimate_memory(cells, tube, resolution, replicas, float_bytes)

@@ -24,7 +24,6 @@ from jaxtissue.files import (
     write_sealed,
 )
 from jaxtissue.io import BackboneTable, read_backbones
-from jaxtissue.lines import resolution_named
 from jaxtissue.memory import tell_memory
 from jaxtissue.settings import FORMAT, Settings, provenance, saved_settings
 from jaxtissue.tables import CONTACT_TABLES
@@ -96,8 +95,7 @@ def begin(
 ) -> Run:
     """A run before its first sweep, with its first checkpoint on the disk."""
     started = provenance()
-    resolution, float_bytes = resolution_named(settings.resolution), 8 if settings.x64 else 4
-    say(tell_memory(len(initial), settings.tube, resolution, float_bytes))
+    say(tell_memory(len(initial), settings.tube, settings.resolution, 8 if settings.x64 else 4))
     say(f"annealing {len(initial)} cells in {folder}: compiling")
     state = annealer.start(settings.tube.reflect(jnp.asarray(initial)))
     record = annealer.record(state)

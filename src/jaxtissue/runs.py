@@ -21,7 +21,7 @@ from jaxtissue.files import (
     open_own,
     replacing,
 )
-from jaxtissue.lines import PRESETS, resolution_named
+from jaxtissue.lines import PRESETS
 from jaxtissue.locks import alone
 from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes
 from jaxtissue.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
@@ -135,11 +135,10 @@ def _finish(run: Run, ended: bool = True) -> None:
     result."""
     say("measuring and drawing" if run.settings.no_contacts else "measuring, tracing contacts, drawing")
     model, settings = run.annealer.model, run.settings
-    resolution = resolution_named(settings.resolution)
     connectivity, place = None, run.state.positions
     if not settings.no_contacts:
         connectivity = find_connectivity(place, settings.tube, settings.minimum_contact)
-    columns, summary = tabulate_cells(place, model, resolution, run.names, connectivity)
+    columns, summary = tabulate_cells(place, model, settings.resolution, run.names, connectivity)
     io.write_backbones(run.folder / "backbones.csv", place, run.names)
     io.write_table(run.folder / "cells.csv", columns)
     if connectivity is not None:

@@ -17,7 +17,6 @@ from jaxtyping import Float
 
 from jaxtissue.anneal import Annealer
 from jaxtissue.energy import tube_model
-from jaxtissue.lines import resolution_named
 from jaxtissue.lowering import options
 from jaxtissue.schedules import constant_schedule, geometric_schedule
 from jaxtissue.tube import Tube
@@ -71,7 +70,7 @@ class Settings:
         """What advances the run. Raises `ValueError` for settings that make none."""
         model = tube_model(self.tube, self.cells, self.modulus, self.tension)
         temperatures = self.temperatures(cooling_sweeps)
-        return Annealer(model, resolution_named(self.resolution), self.algorithm, self.seed, temperatures)
+        return Annealer(model, self.resolution, self.algorithm, self.seed, temperatures)
 
 
 def saved_settings(manifest: Mapping[str, Any], given: Mapping[str, Any], place: str) -> Settings:

@@ -14,7 +14,7 @@ from scipy import sparse
 
 from jaxtissue.candidates import least, linked, padded, spacing_at
 from jaxtissue.cells import BLOCK, Survey, measure_cells
-from jaxtissue.lines import Lines, Resolution, plan_lines
+from jaxtissue.lines import Lines, Resolution, as_resolution, plan_lines
 from jaxtissue.lowering import larger, settled, smaller, taken
 from jaxtissue.tube import Tube
 from jaxtissue.views import FAR, Grid, Posts, meeting, pick, posts, see_lines, see_others, turn_between
@@ -30,9 +30,9 @@ ACROSS = 0.4  # weight of how far along the axis it is from the side on which it
 STOPS = 1e-25  # of who stops it on a line that bears no part of it, below that of all others
 
 
-def sight_lines(tube: Tube, cells: int, resolution: Resolution) -> Lines:
+def sight_lines(tube: Tube, cells: int, resolution: Resolution | str) -> Lines:
     """The lines of `clearance` for tissue measured at a resolution: on as many layers, farther out."""
-    return plan_lines(tube, cells, Resolution(resolution.layers, SIGHT_LINES), SIGHT)
+    return plan_lines(tube, cells, Resolution(as_resolution(resolution).layers, SIGHT_LINES), SIGHT)
 
 
 def clearance(

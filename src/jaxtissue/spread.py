@@ -6,16 +6,16 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
+from jaxtissue.inputs import as_positions
 from jaxtissue.tube import Tube
 from jaxtissue.voronoi import nearest_backbones
 
 _REFINEMENTS = 5  # each makes the patches of the covering search three times smaller
 
 
-@jax.jit
-def separation(positions: Float[Array, "n 2"], tube: Tube) -> Float[Array, ""]:
+def separation(positions: Float[ArrayLike, "n 2"], tube: Tube) -> Float[Array, ""]:
     """Smallest distance between two backbones, infinite for a single one (paper, Definition 1).
 
     Two radial segments are nearest at their apical ends, whatever the angle D between them:
@@ -25,6 +25,11 @@ def separation(positions: Float[Array, "n 2"], tube: Tube) -> Float[Array, ""]:
     >>> round(float(separation(jnp.array([[0.0, 0.0], [3.0, 0.0], [4.0, jnp.pi]]), Tube(9, 1, 2))), 4)
     2.2361
     """
+    return _separation(as_positions(positions, tube, sizes=False), tube)
+
+
+@jax.jit
+def _separation(positions: Float[Array, "n 2"], tube: Tube) -> Float[Array, ""]:
     count = positions.shape[0]
     axial, angle = positions[jnp.argsort(positions[:, 0])].T
     # The padding stands infinitely far along the axis: it is never nearest.
@@ -47,7 +52,7 @@ def separation(positions: Float[Array, "n 2"], tube: Tube) -> Float[Array, ""]:
 
 
 def covering_radius(
-    positions: Float[Array, "n 2"], tube: Tube, shape: tuple[int, int] | None = None
+    positions: Float[ArrayLike, "n 2"], tube: Tube, shape: tuple[int, int] | None = None
 ) -> Float[Array, ""]:
     """Largest distance from a point of the tissue to its nearest backbone (paper, Definition 1).
 
@@ -63,6 +68,7 @@ def covering_radius(
     >>> round(float(covering_radius(jnp.array([[5.0, 0.0]]), Tube(10, 1, 2))), 2)
     5.83
     """
+    positions = as_positions(positions, tube, sizes=False)
     if shape is None:
         shape = _square_patches(tube, max(4096, 32 * positions.shape[0]))
     if min(shape) < 1:
@@ -71,7 +77,7 @@ def covering_radius(
 
 
 def tightness(
-    positions: Float[Array, "n 2"], tube: Tube, shape: tuple[int, int] | None = None
+    positions: Float[ArrayLike, "n 2"], tube: Tube, shape: tuple[int, int] | None = None
 ) -> Float[Array, ""]:
     """The phi of a tight phi-backbone spread, covering radius / separation (paper, Definition 1).
 

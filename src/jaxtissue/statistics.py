@@ -10,6 +10,7 @@ from jaxtyping import ArrayLike, Bool, Float
 
 from jaxtissue.contacts import Contacts, find_contacts
 from jaxtissue.edges import EdgeGraph, trace_edges
+from jaxtissue.inputs import as_positions
 from jaxtissue.transitions import CellForms, Transitions, find_forms, find_transitions
 from jaxtissue.tube import Tube
 
@@ -30,9 +31,9 @@ class Connectivity:
 def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold: float = 0.0) -> Connectivity:
     """Contacts, transition points, forms and end cells of a tissue, its edges traced once, in float64.
 
-    Positions as (axial, angle), [n, 2], brought into the tube as by `Tube.reflect`; walls below `threshold`,
-    a fraction of the mean wall, are no contacts, and leave the rest as it is. Raises `ValueError` for a
-    threshold that is negative or not a number. Paper, section 4.3.
+    Positions as (axial, angle), [n, 2], in any form that `as_positions` takes; walls below `threshold`, a
+    fraction of the mean wall, are no contacts, and leave the rest as it is. Raises `ValueError` for positions
+    that `as_positions` refuses and a threshold that is negative or not a number. Paper, section 4.3.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> len(four.contacts.pairs), four.transitions.per_cell.tolist(), four.is_end.tolist()
@@ -40,7 +41,7 @@ def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold:
     """
     if not threshold >= 0:
         raise ValueError(f"threshold={threshold}; give a fraction of the mean wall, 0 or more")
-    place = inside(np.asarray(positions, float), float(tube.length))
+    place = as_positions(positions, tube, np.float64)
     edges = trace_edges(place, tube)
     return Connectivity(
         find_contacts(place, tube, threshold, edges),
@@ -156,12 +157,6 @@ def tissue_graph(connectivity: Connectivity, columns: Mapping[str, np.ndarray] |
     for (first, second), row in zip(contacts.pairs.tolist(), values, strict=True):
         graph.add_edge(first, second, **dict(zip(names, row, strict=True)))
     return graph
-
-
-def inside(place: Float[np.ndarray, "n 2"], length: float) -> Float[np.ndarray, "n 2"]:
-    """`Tube.reflect` in float64, whatever the precision JAX works in."""
-    folded, turned = np.mod(np.abs(place[:, 0]), 2 * length), np.mod(place[:, 1], 2 * math.pi)
-    return np.stack([np.where(folded > length, 2 * length - folded, folded), turned], axis=-1)
 
 
 def _find_ends(place: Float[np.ndarray, "n 2"], tube: Tube, edges: EdgeGraph) -> Bool[np.ndarray, " n"]:

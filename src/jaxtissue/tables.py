@@ -31,7 +31,7 @@ CONTACT_TABLES = ("contacts.csv", "transitions.csv", "graph.graphml")
 def tabulate_cells(
     positions: Float[ArrayLike, "n 2"],
     model: Model,
-    resolution: Resolution,
+    resolution: Resolution | str,
     names: Sequence[str] | None = None,
     connectivity: Connectivity | None = None,
 ) -> tuple[dict[str, np.ndarray], dict[str, float]]:

@@ -9,6 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from jaxtissue.contacts import Faces, along, find_faces
 from jaxtissue.edges import EdgeGraph, trace_edges
+from jaxtissue.inputs import as_positions
 from jaxtissue.leads import Leads
 from jaxtissue.tube import Tube
 
@@ -69,7 +70,7 @@ def find_forms(positions: Float[ArrayLike, "n 2"], tube: Tube, edges: EdgeGraph 
     >>> find_forms([[2, 0], [8, 0]], Tube(10, 1, 3))
     CellForms(is_ring=array([ True,  True]), pieces=array([1, 1]))
     """
-    place = np.asarray(positions, float)
+    place = as_positions(positions, tube, np.float64)
     if len(place) == 1:
         return CellForms(np.ones(1, bool), np.ones(1, int))
     graph = trace_edges(place, tube) if edges is None else edges

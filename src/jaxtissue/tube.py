@@ -2,22 +2,27 @@
 
 import functools
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray
-from numpy.typing import ArrayLike
+from numpy.typing import DTypeLike
 
 from jaxtissue.backbones import Backbones
 
-ROUNDING = 1e-6  # relative, of single precision
+THIN = 0.01  # of the wall, by which rounding of the radii may change it
 
 
-def _plain(size: float | Array) -> float | Array:
-    """NumPy scalars as Python floats, which take the precision of the arrays they meet."""
-    return float(size) if isinstance(size, int | np.ndarray | np.generic) and np.ndim(size) == 0 else size
+def _plain(size: Any) -> Any:
+    """Numbers as Python floats, which take the precision of the arrays they meet; arrays of whole numbers as
+    floats."""
+    if isinstance(size, jax.Array) or np.asarray(size).dtype.kind not in "iuf":
+        return size
+    return float(size) if np.ndim(size) == 0 else np.asarray(size, float)
 
 
 class Tube(eqx.Module):
@@ -26,7 +31,8 @@ class Tube(eqx.Module):
     The three sizes are pytree leaves: they are traced, so radii and length change without recompiling and
     `vmap` runs over them. A backbone's *position* is (axial, angle): it stands radially at x = axial.
     The frame is x along the axis, y = r cos(angle), z = r sin(angle). Raises `ValueError` for sizes that
-    are known before tracing and not positive, not finite, or not nested.
+    are known before tracing and no numbers, not positive, not finite, or not nested, and for those that the
+    precision JAX works in can't measure: too small, too large, or with a wall that rounding changes.
 
     >>> tube = Tube(length=100, apical_radius=1, basal_radius=10)
     >>> round(tube.volume)
@@ -42,13 +48,11 @@ class Tube(eqx.Module):
 
     def __check_init__(self) -> None:
         sizes = {name: getattr(self, name) for name in ("length", "apical_radius", "basal_radius")}
-        known = {name: size for name, size in sizes.items() if isinstance(size, float | np.ndarray)}
+        known = {name: size for name, size in sizes.items() if not isinstance(size, Tracer)}
         for name, size in known.items():
-            if not (np.all(np.isfinite(size)) and np.all(size > 0)):
-                raise ValueError(f"{name}={size} is not a positive finite number; give a length above 0")
-        inner, outer = known.get("apical_radius"), known.get("basal_radius")
-        if inner is not None and outer is not None and not np.all(inner < outer):
-            raise ValueError(f"apical_radius={inner} is not below basal_radius={outer}; swap or change them")
+            _check_size(name, size)
+        if {"apical_radius", "basal_radius"} <= known.keys():
+            _check_nested(np.asarray(self.apical_radius, float), np.asarray(self.basal_radius, float))
 
     @property
     def volume(self) -> float | Array:
@@ -79,23 +83,6 @@ class Tube(eqx.Module):
         basal = jnp.stack([axial, self.basal_radius * cosine, self.basal_radius * sine], axis=-1)
         return Backbones(apical, basal)
 
-    def require_inside(self, positions: ArrayLike) -> None:
-        """Raises `ValueError` for positions that are not (axial, angle) rows, finite and within the tube.
-
-        By a rounding of single precision they may stand outside.
-
-        >>> Tube(10, 1, 2).require_inside([[5.0, 0.0], [10.5, 0.0]])
-        Traceback (most recent call last):
-        ValueError: backbone 1 at [10.5  0. ]: give 0 <= axial <= 10.0, a finite angle
-        """
-        place = np.asarray(positions, float)
-        if place.ndim != 2 or place.shape[1] != 2 or not len(place):
-            raise ValueError(f"positions of shape {place.shape}: give (axial, angle) rows, [n, 2], n >= 1")
-        half, (axial, angle) = float(self.length) / 2, place.T
-        inside = np.isfinite(angle) & (np.abs(axial - half) <= half * (1 + ROUNDING))
-        for i in np.flatnonzero(~inside):
-            raise ValueError(f"backbone {i} at {place[i]}: give 0 <= axial <= {2 * half}, a finite angle")
-
     def reflect(self, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
         """The positions brought back to 0 <= axial <= L by reflection at the ends, and 0 <= angle < 2 pi.
 
@@ -121,6 +108,39 @@ class Tube(eqx.Module):
         if count < 1:
             raise ValueError(f"count={count} backbones fill no tissue; give at least 1")
         return _random_positions(self, key, count)
+
+
+def _check_size(name: str, size: float | Array | np.ndarray) -> None:
+    """Raise `ValueError` for a size that is no length, or none that the precision of JAX can measure."""
+    value = np.asarray(size)
+    if value.dtype.kind not in "iuf":
+        raise ValueError(f"{name}={size!r} is not a number; give a length above 0")
+    if not (np.isfinite(value).all() and (value > 0).all()):
+        raise ValueError(f"{name}={size} is not a positive finite number; give a length above 0")
+    # products of four lengths neither under- nor overflow
+    low, high = _bounds(jnp.result_type(float))
+    if not ((low <= value) & (value <= high)).all():
+        least, most = _bounds(np.float64)
+        helps = ((least <= value) & (value <= most)).all()
+        remedy = "change the unit of length" + " or use 64 bits (--x64, jax_enable_x64)" * bool(helps)
+        within = f"the range of {np.dtype(jnp.result_type(float))}, {low:.1g} to {high:.1g}"
+        raise ValueError(f"{name}={size} is out of {within}; {remedy}")
+
+
+def _bounds(dtype: DTypeLike) -> tuple[float, float]:
+    limits = np.finfo(dtype)
+    return float(limits.tiny) ** 0.25, float(limits.max) ** 0.25
+
+
+def _check_nested(inner: np.ndarray, outer: np.ndarray) -> None:
+    """Raise `ValueError` for radii that leave no tissue between them, exactly or in the precision of JAX."""
+    if not np.all(inner < outer):
+        raise ValueError(f"apical_radius={inner} is not below basal_radius={outer}; swap or change them")
+    dtype = np.dtype(jnp.result_type(float))
+    wall = outer.astype(dtype) - inner.astype(dtype)
+    if not np.all(np.abs(wall - (outer - inner)) <= THIN * (outer - inner)):
+        told = f"apical_radius={inner} and basal_radius={outer} are too near to tell apart in {dtype}"
+        raise ValueError(f"{told}; use 64 bits (--x64, jax_enable_x64) or a thicker wall")
 
 
 @functools.partial(jax.jit, static_argnames="count")

@@ -6,9 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int, UInt16
+from jaxtyping import Array, ArrayLike, Float, Int, UInt16
 
 from jaxtissue.backbones import Backbones
+from jaxtissue.inputs import as_positions
 from jaxtissue.sampling import cartesian_voxels, image_mask
 from jaxtissue.tube import Tube
 
@@ -58,7 +59,9 @@ def label_volumes(
     return jnp.zeros((64, count_cells), weights.dtype).at[part, labels].add(weights).sum(axis=0)
 
 
-def label_image(positions: Float[Array, "n 2"], tube: Tube, spacing: float) -> UInt16[np.ndarray, "z y x"]:
+def label_image(
+    positions: Float[ArrayLike, "n 2"], tube: Tube, spacing: float
+) -> UInt16[np.ndarray, "z y x"]:
     """The tissue as an image of cell labels, order (z, y, x): 0 outside, cell index + 1 inside.
 
     Voxels are laid out as in `sampling.image_mask`; each has the label of the cell that holds its center.
@@ -67,11 +70,12 @@ def label_image(positions: Float[Array, "n 2"], tube: Tube, spacing: float) -> U
     >>> label_image(jnp.array([[1.0, 0.0], [3.0, 0.0]]), Tube(4, 0.5, 2), 1.0)[2, 2].tolist()
     [1, 1, 2, 2]
     """
+    positions = as_positions(positions, tube, sizes=False)
     cells = positions.shape[0]
     if cells >= 2**16:
         raise ValueError(f"{cells} cells do not fit 16-bit labels; draw at most {2**16 - 1}")
     mask = image_mask(tube, spacing)
-    labels, _ = nearest_backbones(cartesian_voxels(tube, spacing)[0], tube.embed(positions))
+    labels, _ = nearest_backbones(cartesian_voxels(tube, spacing)[0], tube.embed(jnp.asarray(positions)))
     image = np.zeros(mask.shape, np.uint16)
     image[mask] = np.asarray(labels[:, 0]) + 1
     return image
