@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -17,7 +18,9 @@ from jaxtissue import batches, io
 from jaxtissue.batches import anneal_batch
 from jaxtissue.cli import main
 from jaxtissue.cluster import Part, slurm_part
+from jaxtissue.files import read_sealed
 from jaxtissue.grids import Grid
+from jaxtissue.locks import alone, together
 from jaxtissue.settings import Settings
 
 pytestmark = pytest.mark.usefixtures("quick_compile")
@@ -84,6 +87,7 @@ def test_a_table_of_runs_with_manifest_backbones_and_picture(whole) -> None:
     assert (column(table, "drift") < 1e-5).all() and (column(table, "seconds") > 0).all()  # float32
     assert (column(table, "neighbors") > 3).all() and (column(table, "open_ends") == 0).all()
     assert column(table, "scutoid_fraction").max() > 0
+    assert [row["backbones"] for row in table] == [f"{name}.csv" for name in GRID.identities]
     manifest = json.loads((whole / "manifest.json").read_text())
     assert manifest["arguments"]["seed"] == [0, 1] and manifest["arguments"]["tension"] == [0.4]
     assert manifest["rows"] == 4 and manifest["started"] <= manifest["finished"]
@@ -97,7 +101,7 @@ def test_a_row_is_the_run_of_its_settings_alone(whole) -> None:
     values = read_table(whole / "table.csv")[3]
     assert float(values["energy"]) == outcome.records[-1].energy
     assert float(values["initial_energy"]) == outcome.records[0].energy
-    final = io.read_backbones(whole / "backbones" / "00003.csv", row.tube).positions
+    final = io.read_backbones(whole / "backbones" / values["backbones"], row.tube).positions
     np.testing.assert_array_equal(final.astype(np.float32), outcome.positions)
 
 
@@ -139,7 +143,7 @@ def test_only_what_is_missing_is_done(whole, tmp_path, monkeypatch, capsys) -> N
     before = {path: path.read_bytes() for path in folder.rglob("*.*")}
     assert main([*run, "--tension", "0.4"]) == 0  # the default, spelled out
     assert len(done) == 4 and {path: path.read_bytes() for path in folder.rglob("*.*")} == before
-    (folder / "rows" / "00002.json").unlink()
+    (folder / "rows" / f"{GRID.identities[2]}.json").unlink()
     assert main(run) == 0
     assert done[4:] == [(0.5, 0)] and same_grid(folder, whole)
 
@@ -159,7 +163,8 @@ def test_a_signal_keeps_the_rows_that_are_done(whole, tmp_path, monkeypatch, cap
         patch.setattr(batches, "advance_together", interrupted)
         assert main(run) == 128 + number
     assert f"stopped by {number.name}" in capsys.readouterr().err
-    assert sorted(path.name for path in (folder / "rows").iterdir()) == ["00000.json", "00001.json"]
+    done = {path.stem for path in (folder / "rows").iterdir()}
+    assert done == set(GRID.identities[:2])
     assert main(run) == 0 and same_grid(folder, whole)
 
 
@@ -221,6 +226,57 @@ def test_bad_input_gets_one_line_and_nothing_is_written(line, named, tmp_path, c
     streams = capsys.readouterr()
     assert named in streams.err and streams.err.count("\n") == 1 and streams.out == ""
     assert [path.name for path in tmp_path.rglob("*")] == ["good.csv"]
+
+
+def test_a_grid_grows_and_keeps_its_rows(whole, tmp_path, monkeypatch, capsys) -> None:
+    folder, done = tmp_path / "grid", []
+
+    def noted(rows, *others):
+        done.extend((row.apical_radius, row.seed) for row in rows)
+        return anneal_batch(rows, *others)
+
+    monkeypatch.setattr("jaxtissue.grid_runs.anneal_batch", noted)
+    run = ["sweep", *VALUES[:4], "--cells", "24", "--temperature", "0.5", "--sweeps", "2"]
+    run += ["--out", str(folder)]
+    assert main([*run, "--ratio", "8", "--seed", "1", "--batch", "4"]) == 0
+    more = [*run, "--ratio", "2", "8", "--seed", "0", "1"]
+    with together(folder, lambda _: None):  # while another part is at work
+        assert main(more) == 2 and "then the grid can grow" in capsys.readouterr().err
+    assert main(more) == 0 and same_grid(folder, whole)
+    assert done == [(0.5, 1), (2.0, 0), (2.0, 1), (0.5, 0)]
+    manifest = read_sealed(folder / "manifest.json", "")
+    assert (
+        manifest["rows"] == 4 and manifest["finished"] and manifest["grown"][0]["axes"] == ["ratio", "seed"]
+    )
+
+
+def test_a_part_that_is_under_way_is_refused(whole, tmp_path, capsys) -> None:
+    folder = shutil.copytree(whole, tmp_path / "grid")
+    run = ["sweep", *VALUES, "--out", str(folder)]
+    with together(folder, lambda _: None), alone(folder, ".part-2-of-2.lock"):
+        assert main([*run, "--part", "2/2"]) == 2 and "this part of the grid is" in capsys.readouterr().err
+        assert main([*run, "--part", "1/2"]) == 0
+        assert main([*run, "--force"]) == 2 and "other processes" in capsys.readouterr().err
+    assert same_grid(folder, whole) and not list(folder.glob(".*"))
+
+
+def test_a_flipped_bit_in_a_grid_is_told_in_one_line(whole, tmp_path, capsys) -> None:
+    folder, rng = shutil.copytree(whole, tmp_path / "grid"), np.random.default_rng(0)
+    paths = [folder / "manifest.json", *(folder / "rows").iterdir(), *(folder / "backbones").iterdir()]
+    for path in paths:
+        kept = path.read_bytes()
+        for byte, bit in zip(rng.integers(len(kept), size=9), rng.integers(8, size=9), strict=True):
+            damaged = bytearray(kept)
+            damaged[byte] ^= 1 << bit
+            path.write_bytes(damaged)
+            assert main(["sweep", *VALUES, "--out", str(folder)]) == 2
+            error = capsys.readouterr().err
+            assert "damaged" in error and path.name in error and error.count("\n") == 1
+        path.write_bytes(kept)
+    (folder / "rows").rename(tmp_path / "rows")
+    (folder / "rows").symlink_to(tmp_path / "rows")
+    assert main(["sweep", *VALUES, "--out", str(folder)]) == 2
+    assert "rows is a symbolic link" in capsys.readouterr().err
 
 
 def test_a_damaged_manifest_is_told(tmp_path, capsys) -> None:

@@ -1,8 +1,10 @@
 """A grid of annealing runs: every combination of some values, a row each."""
 
+import hashlib
 import itertools
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from jaxtissue.settings import Settings
@@ -54,6 +56,17 @@ class Grid:
         return [self._settings(dict(zip(names, values, strict=True))) for values in combinations]
 
     @property
+    def identities(self) -> list[str]:
+        """A name for each run, which its settings alone decide: it has the same in a larger grid.
+
+        >>> small, large = Grid({"seed": [7]}), Grid({"seed": [1, 7]})
+        >>> small.identities[0] == large.identities[1]
+        True
+        """
+        settings = (json.dumps(asdict(row), sort_keys=True) for row in self.rows)
+        return [hashlib.sha256(text.encode()).hexdigest()[:16] for text in settings]
+
+    @property
     def arguments(self) -> dict[str, Any]:
         """All that the rows are made of, defaults included: lists for what an axis may be, else one value."""
         listed = {name: list(values) for name, values in self.axes.items()}
@@ -64,11 +77,34 @@ class Grid:
             listed.setdefault(name, [value] if name in AXES else value)
         return listed
 
+    def growth(self, before: Mapping[str, Any]) -> list[str]:
+        """The axes on which this grid has more values than one whose `arguments` were `before`.
+
+        Raises `ValueError` where the other is no part of this one, naming what differs.
+        """
+        grown, given = [], self.arguments
+        for name in dict(before) | given:
+            then, here = before.get(name), given.get(name)
+            if then == here:
+                continue
+            if not (isinstance(then, list) and isinstance(here, list) and set(then) <= set(here)):
+                option, values = "--" + name.replace("_", "-"), (here, then)
+                told = " differs from ".join(_told(value) for value in values)
+                raise ValueError(f"{option} {told}")
+            grown.append(name)
+        return grown
+
     def _settings(self, values: dict[str, Any]) -> Settings:
         if "ratio" in values:
             outer = values.get("basal_radius", self.shared.get("basal_radius", Settings.basal_radius))
             values["apical_radius"] = outer / values.pop("ratio")
         return Settings(**self.shared, **values)
+
+
+def _told(value: Any) -> str:
+    if isinstance(value, list):
+        return " ".join(map(str, value))
+    return "(not given)" if value is None else str(value)
 
 
 def describe(row: Settings) -> dict[str, Any]:

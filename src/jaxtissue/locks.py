@@ -99,23 +99,29 @@ def alone(folder: Path, name: str = NAME, what: str = "a run") -> Iterator[None]
 
 
 @contextmanager
-def together(folder: Path, prepare: Callable[[bool], None]) -> Iterator[None]:
+def together(folder: Path, prepare: Callable[[bool | None], None]) -> Iterator[None]:
     """Share a folder, which is made if need be, with others who share it.
 
-    `prepare(alone)` is called first; it is told whether no other process shares the folder by then. Raises
-    `ValueError` where one holds it alone.
+    `prepare(alone)` is called first; it is told whether no other process shares the folder by then, None
+    where there are no locks. Raises `ValueError` where one holds it alone.
     """
     with _made(folder):
         lock, ends = Lock(folder / NAME), time.monotonic() + WAIT
         is_alone = lock.take()
-        while not (is_alone or lock.take(shared=True)):
-            if time.monotonic() > ends:
-                raise ValueError(f"{folder} is held by {lock.holder()}; wait for it or choose another folder")
-            time.sleep(0.05)
+
+        def share() -> None:
+            while not lock.take(shared=True):
+                if time.monotonic() > ends:
+                    told = f"{folder} is held by {lock.holder()}"
+                    raise ValueError(f"{told}; wait for it or choose another folder")
+                time.sleep(0.05)
+
         try:
-            prepare(is_alone and lock.works)
+            if not is_alone:
+                share()
+            prepare(is_alone if lock.works else None)
             if is_alone:
-                lock.take(shared=True)
+                share()
             yield
         finally:
             lock.release()
