@@ -20,6 +20,7 @@ from jaxtissue import cli, io, tables
 from jaxtissue.anneal import Annealer
 from jaxtissue.cli import main
 from jaxtissue.lines import PRESETS
+from jaxtissue.reading import read_backbones
 from jaxtissue.statistics import find_connectivity
 from jaxtissue.tube import Tube
 
@@ -116,7 +117,7 @@ def test_anneal_leaves_tables_figures_and_a_manifest(annealed):
     assert column(sweeps, "energy")[-1] < column(sweeps, "energy")[0]
     # Summed in another order, and in 32 bits.
     assert column(cells, "energy").sum() == pytest.approx(column(sweeps, "energy")[-1], rel=1e-4)
-    final = io.read_backbones(annealed / "backbones.csv", Tube(12, 2, 4)).positions
+    final = read_backbones(annealed / "backbones.csv", Tube(12, 2, 4)).positions
     np.testing.assert_array_equal(final, np.stack([column(cells, "axial"), column(cells, "angle")], axis=-1))
 
 
@@ -338,7 +339,7 @@ def test_control_characters_in_names_leave_tables_and_graphs_that_readers_take(t
     graph = nx.read_graphml(folder / "graph.graphml", node_type=int)
     assert [graph.nodes[k]["name"] for k in range(3)] == [r"a\u000bb", r"c\u001b[31m", "=d"]
     assert [row["name"] for row in read_table(folder / "cells.csv")] == [r"a\u000bb", r"c\u001b[31m", "'=d"]
-    assert io.read_backbones(folder / "cells.csv", Tube(12, 2, 4)).names == ("a\x0bb", "c\x1b[31m", "=d")
+    assert read_backbones(folder / "cells.csv", Tube(12, 2, 4)).names == ("a\x0bb", "c\x1b[31m", "=d")
 
 
 def test_small_contacts_are_left_out_and_old_tables_removed(annealed, tmp_path):

@@ -14,13 +14,14 @@ import pytest
 from test_cli import column, read_table, restore_precision, without_seconds  # noqa: F401
 
 import jaxtissue
-from jaxtissue import batches, io
+from jaxtissue import batches
 from jaxtissue.batches import anneal_batch
 from jaxtissue.cli import main
 from jaxtissue.cluster import Part, slurm_part
 from jaxtissue.files import read_sealed
 from jaxtissue.grids import Grid
 from jaxtissue.locks import alone, together
+from jaxtissue.reading import read_backbones
 from jaxtissue.settings import Settings
 
 pytestmark = pytest.mark.usefixtures("quick_compile")
@@ -101,7 +102,7 @@ def test_a_row_is_the_run_of_its_settings_alone(whole) -> None:
     values = read_table(whole / "table.csv")[3]
     assert float(values["energy"]) == outcome.records[-1].energy
     assert float(values["initial_energy"]) == outcome.records[0].energy
-    final = io.read_backbones(whole / "backbones" / values["backbones"], row.tube).positions
+    final = read_backbones(whole / "backbones" / values["backbones"], row.tube).positions
     np.testing.assert_array_equal(final.astype(np.float32), outcome.positions)
 
 

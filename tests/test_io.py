@@ -11,6 +11,7 @@ import pytest
 from jaxtissue import io
 from jaxtissue.anneal import AnnealState
 from jaxtissue.files import check_folder, checksum, write_json
+from jaxtissue.reading import read_backbones
 from jaxtissue.records import SweepRecord
 from jaxtissue.tube import Tube
 
@@ -36,7 +37,7 @@ def test_backbones_read_back_exactly(tmp_path, dtype, named):
     positions = (share * [100, 2 * math.pi]).astype(dtype)
     names = tuple(f"a, b\n{k} é" for k in range(50)) if named else None
     io.write_backbones(tmp_path / "b.csv", positions, names)
-    read = io.read_backbones(tmp_path / "b.csv", TUBE)
+    read = read_backbones(tmp_path / "b.csv", TUBE)
     assert read.positions.tolist() == positions.astype(float).tolist()
     assert read.names == names
 
@@ -61,24 +62,24 @@ def test_names_that_would_break_a_table_or_be_computed_read_back_exactly(tmp_pat
     written = (tmp_path / "b.csv").read_text()
     assert written.count("\n") == len(names) + 1 and written.replace("\n", "").isprintable()
     assert not [line for line in written.splitlines()[1:] if line.split(",")[2][0] in "=+-@"]
-    assert io.read_backbones(tmp_path / "b.csv", TUBE).names == names
+    assert read_backbones(tmp_path / "b.csv", TUBE).names == names
 
 
 def test_any_angle_is_wrapped(table):
-    read = io.read_backbones(table("axial,angle\n0,-1\n50,7\n100,-1e-20\n"), TUBE)
+    read = read_backbones(table("axial,angle\n0,-1\n50,7\n100,-1e-20\n"), TUBE)
     assert read.positions[:, 1].tolist() == [2 * math.pi - 1, 7 - 2 * math.pi, 0.0]
     with pytest.warns(UserWarning, match="angles up to 200: they are taken as radians"):
-        io.read_backbones(table("axial,angle\n0,-1\n50,200\n"), TUBE)
+        read_backbones(table("axial,angle\n0,-1\n50,200\n"), TUBE)
 
 
 def test_names_are_read_back_from_a_table_that_was_written(table):
     text = "cell,axial,angle,name\n0,1,2,left\n1,3,2,right\n"
-    assert io.read_backbones(table(text), TUBE).names == ("left", "right")
+    assert read_backbones(table(text), TUBE).names == ("left", "right")
 
 
 def test_headers_of_spreadsheets_are_understood(table):
     text = "\ufeffcell, angle , note, axial\r\nx, 1.5, hello, 2.5\r\n\r\n"
-    positions, names = io.read_backbones(table(text), TUBE)
+    positions, names = read_backbones(table(text), TUBE)
     assert positions.tolist() == [[2.5, 1.5]] and names == ("x",)
 
 
@@ -108,27 +109,27 @@ BAD_FILES = {
 def test_bad_files_are_refused(table, content):
     path = table(content)
     with pytest.raises(ValueError) as refusal:
-        io.read_backbones(path, TUBE)
+        read_backbones(path, TUBE)
     message = str(refusal.value)
     assert message.startswith(str(path)) and BAD_FILES[content] in message and "\n" not in message
 
 
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"nowhere\.csv can't be read"):
-        io.read_backbones(tmp_path / "nowhere.csv", TUBE)
+        read_backbones(tmp_path / "nowhere.csv", TUBE)
 
 
 def test_backbones_that_only_64_bits_tell_apart(table, request):
     path = table(f"axial,angle\n5,1\n5,{1 + 1e-12!r}\n")
     with pytest.raises(ValueError, match="--x64"):
-        io.read_backbones(path, TUBE)
+        read_backbones(path, TUBE)
     request.getfixturevalue("x64")
-    assert len(io.read_backbones(path, TUBE).positions) == 2
+    assert len(read_backbones(path, TUBE).positions) == 2
 
 
 def test_neighbors_in_axial_position_are_no_twins(table):
     near = float(np.nextafter(np.float32(5), np.float32(6)))
-    assert len(io.read_backbones(table(f"axial,angle\n5,1\n{near!r},1\n"), TUBE).positions) == 2
+    assert len(read_backbones(table(f"axial,angle\n5,1\n{near!r},1\n"), TUBE).positions) == 2
 
 
 def test_json_has_no_infinity_and_no_nan(tmp_path):

@@ -25,6 +25,7 @@ REPRODUCTION += [
 REPRODUCTION += ["ratio_claims", "items", "report", "reproduce"]
 PEOPLE = [
     "names",
+    "reading",
     "files",
     "io",
     "locks",

@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 from jaxtissue.lines import as_resolution
 from jaxtissue.settings import Settings
 
+DEGREES = "angles of the table are degrees, not radians"
 TUBE_SIZES = ("length", "apical_radius", "basal_radius")
 _HELP = {
     "anneal": "anneal a tissue into a folder, or take up a run there",
@@ -37,9 +38,8 @@ def command_parser() -> argparse.ArgumentParser:
     _add_anneal(options["anneal"])
     for name in ("measure", "compare"):
         command = options[name]
-        command.add_argument(
-            "file", type=Path, metavar="FILE", help="backbones as CSV: axial,angle in radians"
-        )
+        command.add_argument("file", type=Path, metavar="FILE", help="backbones as CSV: columns axial,angle")
+        command.add_argument("--degrees", action="store_true", help=DEGREES)
         for size in TUBE_SIZES:
             command.add_argument(_option(size), type=_number(0, above=True), required=True, metavar="X")
         _add_folder(command, required=name == "measure")
@@ -78,6 +78,7 @@ def _add_anneal(command: argparse.ArgumentParser) -> None:
          choices=("is-mh", "mh"))  # fmt: skip
     start = command.add_mutually_exclusive_group()
     _add(start, "backbones", "CSV of backbones to start from", None, metavar="FILE")
+    command.add_argument("--degrees", action="store_true", default=argparse.SUPPRESS, help=DEGREES)
     _add(start, "cells", "number of random cells to start from", Settings.cells, type=_count(1), metavar="N")
 
 

@@ -18,6 +18,7 @@ from jaxtissue.files import check_folder, make_folder, write_json
 from jaxtissue.grid_runs import check_grid_folder, run_grid
 from jaxtissue.grids import AXES, Grid
 from jaxtissue.programs import keep_compiled
+from jaxtissue.reading import BackboneTable, read_backbones
 from jaxtissue.reproduction.reproduce import choose_items, make_plan, reproduce
 from jaxtissue.reproduction.workers import Workers, free_cores
 from jaxtissue.runs import resume_annealing, run_annealing
@@ -75,6 +76,7 @@ def sweep(arguments: dict[str, Any]) -> int:
     """Anneal a grid of tissues into one table, or what is missing of it."""
     folder, force, batch = (arguments.pop(name) for name in ("out", "force", "batch"))
     places = [arguments.pop(name) for name in ("part", "slurm", "distributed", "coordinator", "process")]
+    _use_x64(arguments["x64"])
     _refuse_both(arguments, "minimum_contact")
     axes = {name: arguments.pop(name) for name in AXES if name in arguments}
     grid = Grid(axes, arguments)
@@ -82,7 +84,6 @@ def sweep(arguments: dict[str, Any]) -> int:
         raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
     check_grid_folder(folder, grid, force)
     part = _find_part(*places)
-    _use_x64(arguments["x64"])
     use_cores(min(len(part.share(grid.rows)), batch or len(grid.rows)))
     return run_grid(folder, grid, part, force, batch)
 
@@ -200,10 +201,10 @@ def _refuse_both(arguments: dict[str, Any], *names: str) -> None:
             raise ValueError(f"{option} needs contacts; leave it or --no-contacts out")
 
 
-def _read(arguments: dict[str, Any]) -> tuple[Tube, io.BackboneTable]:
-    tube = Tube(*(arguments[name] for name in TUBE_SIZES))
+def _read(arguments: dict[str, Any]) -> tuple[Tube, BackboneTable]:
     _use_x64(arguments["x64"])
-    return tube, io.read_backbones(arguments["file"], tube)
+    tube = Tube(*(arguments[name] for name in TUBE_SIZES))
+    return tube, read_backbones(arguments["file"], tube, arguments["degrees"])
 
 
 def _use_x64(x64: bool) -> None:

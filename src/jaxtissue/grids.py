@@ -72,7 +72,7 @@ class Grid:
         listed = {name: list(values) for name, values in self.axes.items()}
         for setting in fields(Settings):
             name, value = setting.name, self.shared.get(setting.name, setting.default)
-            if name == "backbones" or (name == "apical_radius" and "ratio" in self.axes):
+            if name in ("backbones", "degrees") or (name == "apical_radius" and "ratio" in self.axes):
                 continue
             listed.setdefault(name, [value] if name in AXES else value)
         return listed

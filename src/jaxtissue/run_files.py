@@ -23,8 +23,8 @@ from jaxtissue.files import (
     read_sealed,
     write_sealed,
 )
-from jaxtissue.io import BackboneTable, read_backbones
 from jaxtissue.memory import tell_memory
+from jaxtissue.reading import BackboneTable, read_backbones
 from jaxtissue.settings import FORMAT, Settings, provenance, saved_settings
 from jaxtissue.tables import CONTACT_TABLES
 
@@ -85,7 +85,7 @@ class Run:
 def initial_backbones(settings: Settings) -> BackboneTable:
     """The backbones that a run begins with, and their names."""
     if settings.backbones:
-        return read_backbones(Path(settings.backbones), settings.tube)
+        return read_backbones(Path(settings.backbones), settings.tube, settings.degrees)
     key = jax.random.key(settings.seed)
     return BackboneTable(np.asarray(settings.tube.random_positions(key, settings.cells)), None)
 
@@ -122,7 +122,7 @@ def take_up(folder: Path, given: Mapping[str, Any], finish: bool) -> Run | None:
     check_files(folder, {INITIAL: manifest["files"][INITIAL]}, AGAIN)
     initial = read_backbones(folder / INITIAL, settings.tube)
     if given.get("backbones"):
-        same = read_backbones(Path(given["backbones"]), settings.tube)
+        same = read_backbones(Path(given["backbones"]), settings.tube, settings.degrees)
         if same.names != initial.names or not np.array_equal(same.positions, initial.positions):
             raise ValueError(f"--backbones {given['backbones']} differs from the run to resume; leave it out")
     checkpoint = io.load_checkpoint(folder / "checkpoint.npz")

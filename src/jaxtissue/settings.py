@@ -29,16 +29,17 @@ DECISIVE = ("jaxtissue", "jax", "jaxlib", "numpy")  # packages whose versions ma
 class Settings:
     """The arguments of a run; the paper's values (section 4.3) are the defaults.
 
-    `backbones` is a CSV file to start from, else `cells` random ones are made from `seed`. A
-    `final_temperature` makes the cooling geometric. The run ends early when the energy has not fallen
-    for `patience` sweeps (0: never). Walls below `minimum_contact`, a fraction of the mean wall, are no
-    contacts.
+    `backbones` is a CSV file to start from, its angles in `degrees` or radians; else `cells` random ones are
+    made from `seed`. A `final_temperature` makes the cooling geometric. The run ends early when the energy
+    has not fallen for `patience` sweeps (0: never). Walls below `minimum_contact`, a fraction of the mean
+    wall, are no contacts.
     """
 
     length: float = 100.0
     apical_radius: float = 1.0
     basal_radius: float = 10.0
     backbones: str | None = None
+    degrees: bool = False
     cells: int = 500
     seed: int = 0
     sweeps: int = 100
