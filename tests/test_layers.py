@@ -7,7 +7,7 @@ import pytest
 
 import jaxtissue
 
-TISSUE = ["backbones", "tube", "inputs", "sampling", "lines", "voronoi", "spread"]
+TISSUE = ["backbones", "tube", "inputs", "sampling", "lines", "labels", "voronoi", "spread"]
 TISSUE += ["lowering", "views", "walls", "cells", "candidates", "shortlists", "diagrams", "exact"]
 CONTACTS = ["leads", "fronts", "edges", "contacts", "transitions", "statistics", "laws"]
 MOVES = ["energy", "coloring", "changes", "metropolis", "spans", "rounds", "records", "programs"]

@@ -112,14 +112,23 @@ def test_spread_ignores_motion_mirroring_order_and_follows_scale(x64):
         assert tightness(moved, image) == pytest.approx(float(tightness(positions, tube)), rel=1e-3), name
 
 
-def test_covering_radius_of_traced_tubes():
+def test_covering_radius_keeps_its_tolerance(x64):
     positions = Tube(20, 1, 5).random_positions(jax.random.key(6), 30)
-    radii = jnp.array([4.0, 8.0])
-    traced = jax.vmap(lambda radius: covering_radius(positions, Tube(20, 1, radius), (40, 40)))(radii)
-    alone = [covering_radius(positions, Tube(20, 1, radius), (30, 50)) for radius in (4, 8)]
-    np.testing.assert_allclose(traced, alone, rtol=1e-3)  # different grids, each within 0.1 %
-    with pytest.raises(ValueError, match=r"shape=\(0, 4\)"):
-        covering_radius(positions, Tube(20, 1, 5), (0, 4))
+    for radius in (4, 8):
+        tube = Tube(20, 1, radius)
+        finest = float(covering_radius(positions, tube, 1e-8))
+        for tolerance in (0.3, 1e-2, 1e-4):
+            assert 1 / (1 + tolerance) <= covering_radius(positions, tube, tolerance) / finest <= 1 + 1e-8
+    for tolerance in (0.0, -1.0, math.nan):
+        with pytest.raises(ValueError, match=f"tolerance={tolerance} "):
+            covering_radius(positions, Tube(20, 1, 5), tolerance)
+
+
+@pytest.mark.parametrize("tube", [Tube(1e4, 1, 3), Tube(0.01, 1, 3), Tube(10, 1, 200)])
+def test_covering_radius_of_long_short_and_thick_tubes(tube):
+    # farthest from one backbone: opposite, beyond the lumen, at the far end
+    expected = math.hypot(0.7 * tube.length, tube.apical_radius + tube.basal_radius)
+    assert covering_radius([[0.3 * tube.length, 1.0]], tube, 1e-6) == pytest.approx(expected, rel=1e-6)
 
 
 def test_neighbor_bounds_of_reference_tubes(reference):

@@ -20,6 +20,7 @@ from jaxtissue.edges import trace_edges
 from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
 from jaxtissue.exact import ExactDiagram, exact_cells
 from jaxtissue.inputs import as_positions
+from jaxtissue.labels import label_points
 from jaxtissue.laws import NeighborLaw, bound_ratios, fit_neighbor_law
 from jaxtissue.lines import PRESETS, Lines, Resolution, as_resolution, plan_lines
 from jaxtissue.metropolis import Order, SweepInfo, sweep
@@ -89,6 +90,7 @@ __all__ = [
     "geometric_schedule",
     "has_stalled",
     "label_image",
+    "label_points",
     "label_volumes",
     "lateral_tension",
     "measure_cells",

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
@@ -14,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from jaxtissue.labels import label_points
 from jaxtissue.tube import Tube
-from jaxtissue.voronoi import nearest_backbones
 
 # Okabe and Ito's colors, which color-blind readers tell apart.
 _BLUE, _ORANGE, _GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -149,10 +148,10 @@ def label_surface(
     """
     axial = (np.arange(shape[0]) + 0.5) / shape[0] * float(tube.length)
     angle = (np.arange(shape[1]) + 0.5) / shape[1] * 2 * np.pi
-    pixels = np.stack(np.meshgrid(axial, angle, indexing="ij"), axis=-1).reshape(-1, 2)
-    points = getattr(tube.embed(jnp.asarray(pixels)), surface)
-    labels, _ = nearest_backbones(points, tube.embed(jnp.asarray(positions)))
-    return np.asarray(labels).reshape(shape)
+    radius = float(tube.apical_radius if surface == "apical" else tube.basal_radius)
+    x, turn = np.meshgrid(axial, angle, indexing="ij")
+    points = np.stack([x, radius * np.cos(turn), radius * np.sin(turn)], axis=-1)
+    return label_points(points, positions, tube).reshape(shape)
 
 
 def _draw_map(

@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float, Int, UInt16
 
 from jaxtissue.backbones import Backbones
 from jaxtissue.inputs import as_positions
+from jaxtissue.labels import label_points
 from jaxtissue.sampling import cartesian_voxels, image_mask
 from jaxtissue.tube import Tube
 
@@ -75,9 +76,8 @@ def label_image(
     if cells >= 2**16:
         raise ValueError(f"{cells} cells do not fit 16-bit labels; draw at most {2**16 - 1}")
     mask = image_mask(tube, spacing)
-    labels, _ = nearest_backbones(cartesian_voxels(tube, spacing)[0], tube.embed(jnp.asarray(positions)))
     image = np.zeros(mask.shape, np.uint16)
-    image[mask] = np.asarray(labels[:, 0]) + 1
+    image[mask] = label_points(cartesian_voxels(tube, spacing)[0], positions, tube) + 1
     return image
 
 

@@ -2,13 +2,12 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtissue.edges import EdgeGraph
+from jaxtissue.labels import label_points
 from jaxtissue.tube import Tube
-from jaxtissue.voronoi import nearest_backbones
 
 APICAL, BASAL, LEFT, RIGHT = -1, -2, -3, -4  # what is behind a wall that is none between cells
 
@@ -186,7 +185,5 @@ def label_section(
     [[0, 0, 1, 1]]
     """
     x, turn = np.meshgrid(axial, angle)
-    points = np.stack([x, radius * np.cos(turn), radius * np.sin(turn)], axis=-1).reshape(-1, 3)
-    backbones = tube.embed(jnp.asarray(positions))
-    labels, _ = nearest_backbones(jnp.asarray(points, backbones.apical.dtype), backbones)
-    return np.asarray(labels).reshape(x.shape)
+    points = np.stack([x, radius * np.cos(turn), radius * np.sin(turn)], axis=-1)
+    return label_points(points, positions, tube).reshape(x.shape)
