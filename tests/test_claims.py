@@ -280,7 +280,8 @@ def test_the_report_begins_with_what_is_met_what_is_not_and_why():
     assert summarize(claims).strip().splitlines()[2:] == [
         "- **Met:** the energy falls (R_a = 1 and 5).",
         "- **Not met:** phi is 3 (R_a = 1 and 5); tissue has phi 3 (pairs stay close).",
-        "- **Too noisy:** it is faster.",
+        "- **Too noisy:** it is faster (what was found differs from turn to turn or from run to run, "
+        "across the criterion).",
         "- **Not comparable:** it takes an hour (the machines differ).",
     ]
     assert "2 are met, 3 are not met, 1 is too noisy to judge, and 1 is not comparable" in summarize(claims)

@@ -174,8 +174,9 @@ def test_tables_of_runs_and_volumes(store, monkeypatch):
     assert (np.diff(first) >= 0).all() and first.sum() == pytest.approx(float(TINY.tube(10).volume), rel=2e-3)
 
 
-def test_mh_with_whole_diagrams_is_mh_and_every_rule_is_timed():
+def test_mh_with_whole_diagrams_is_mh_and_rules_are_timed(monkeypatch):
     """The energy of all cells and the local difference decide alike, move for move."""
+    monkeypatch.setattr(timings, "RULES", {"near": "near", "8_phi": "8-phi"})  # one program for both
     annealing = Annealing(Tube(15, 2, 10), 60, timings.WARM_UP)
     contest = timings.Contest(annealing, np.asarray(random_tissue(annealing.tube, 60, 3)), 1)
     annealer, state = contest.annealers["mh"], contest.states["mh"]
@@ -185,7 +186,7 @@ def test_mh_with_whole_diagrams_is_mh_and_every_rule_is_timed():
     assert np.abs(whole - trail[0]).max() < 1e-6
     row = contest.play()
     assert all(row[f"{name}_seconds"] > 0 for name in ("mh", "whole", *timings.RULES))
-    assert row["8_phi_rounds"] >= row["2_hop_rounds"] >= 30 and row["near_put_off"] < 0.02
+    assert row["8_phi_rounds"] > row["near_rounds"] >= 30 and row["near_put_off"] < 0.02
 
 
 def test_table_1_is_timed_in_turns_that_are_kept(store, monkeypatch):

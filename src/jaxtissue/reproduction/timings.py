@@ -3,6 +3,7 @@
 import time
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +17,7 @@ from jaxtissue.energy import Model, tube_model
 from jaxtissue.lines import PRESETS
 from jaxtissue.metropolis import draw, move_bound, propose
 from jaxtissue.programs import Asker, run_together
+from jaxtissue.records import SweepRecord
 from jaxtissue.reproduction.experiments import BASAL_RADIUS, Plan, Store, Table, tabulate
 from jaxtissue.reproduction.tissues import TEMPERATURE, Annealing
 from jaxtissue.rounds import MEAN_MOVE, one_by_one
@@ -27,6 +29,7 @@ from jaxtissue.views import posts
 
 WARM_UP = 2 * SPAN  # sweeps before the timed ones; from then on lists are renewed every SPAN sweeps
 SAMPLED = 25  # moves of MH with whole diagrams that are timed in a turn
+SPARE = 10  # spans more than turns, to be played where programs are compiled
 RADII = (1.0, 5.0)
 RULES = {rule.replace("-", "_"): rule for rule in CONFLICTS}  # by their names in the columns of tables
 
@@ -35,7 +38,8 @@ def measure_table(plan: Plan, store: Store) -> tuple[Table, Table]:
     """Table 1, a row for each R_a and n, and the seconds of a sweep in every turn that its medians are of.
 
     In a turn each algorithm plays one span of 10 sweeps on every tissue, one after the other, so that a load
-    on the machine that lasts slows all of them. `mh_seconds` and `near_seconds`, `2_hop_seconds`, ... (IS-MH
+    on the machine that lasts slows all of them; on a CPU processor time is taken, which loads change little.
+    `mh_seconds` and `near_seconds`, `2_hop_seconds`, ... (IS-MH
     under each rule) are measured with what is renewed between sweeps, but without compilation.
     `whole_seconds` is extrapolated: n times the median time of a sample of moves of MH with whole diagrams.
     `near_rounds`, ... are the rounds played, `near_put_off` the share of the moves that were put off to later
@@ -78,7 +82,7 @@ class Contest:
     def __init__(self, annealing: Annealing, positions: Float[np.ndarray, "n 2"], turns: int) -> None:
         self.annealing = annealing
         model = tube_model(annealing.tube, annealing.cells)
-        schedule = constant_schedule(TEMPERATURE, WARM_UP + SPAN * (turns + 1))
+        schedule = constant_schedule(TEMPERATURE, WARM_UP + SPAN * (SPARE + turns))
         rules = {"mh": ("mh", "near")} | {name: ("is-mh", rule) for name, rule in RULES.items()}
         self.annealers = {
             name: Annealer(model, PRESETS["draft"], algorithm, 0, schedule, rule)
@@ -93,14 +97,28 @@ class Contest:
         row: dict[str, float] = {"apical_radius": float(self.annealing.tube.apical_radius), "cells": cells}
         _, taken = play_whole(self.annealers["mh"], self.states["mh"], self.gauge, min(SAMPLED, cells))
         row["whole_seconds"] = cells * float(np.median(taken))
-        for name, annealer in self.annealers.items():
-            self.states[name], records, _ = annealer.advance(self.states[name])
-            row[f"{name}_seconds"] = float(np.mean([record.seconds for record in records]))
+        for name in self.annealers:
+            records, row[f"{name}_seconds"] = self._advance(name)
             if name in RULES:
                 row[f"{name}_rounds"] = float(np.mean([record.rounds for record in records]))
                 collisions = [record.collisions for record in records]
                 row[f"{name}_put_off"] = float(np.mean(collisions)) / cells
         return row
+
+    def _advance(self, name: str) -> tuple[list[SweepRecord], float]:
+        """A span of one of them and its seconds a sweep; if something is compiled the next span is taken."""
+        annealer = self.annealers[name]
+        while True:
+            begin, compiled = clock(), annealer.compile_seconds
+            self.states[name], records, _ = annealer.advance(self.states[name])
+            taken, left = clock() - begin, len(annealer.temperatures) - self.states[name].sweep
+            if annealer.compile_seconds == compiled or left < SPAN:
+                return records, taken / len(records)
+
+
+def clock() -> float:
+    """Seconds of processor time of this process where it computes on a CPU, else of the clock on the wall."""
+    return time.process_time() if jax.default_backend() == "cpu" else time.perf_counter()
 
 
 def play_whole(
@@ -119,13 +137,13 @@ def play_whole(
     place, energy = state.positions, _energy(state.positions, model, gauge)
     temperature, taken = max(annealer.temperatures[state.sweep], 1e-300), []
     for cell in one_by_one(annealer.seed, state.sweep, n)[:moves, 0]:
-        begin = time.perf_counter()
+        begin = clock()
         moved = place.copy()
         moved[cell] = targets[cell]
         changed = _energy(moved, model, gauge)
         if draws[2, cell] < np.exp(-max(changed - energy, 0) / temperature):
             place, energy = moved, changed
-        taken.append(time.perf_counter() - begin)
+        taken.append(clock() - begin)
     return place, taken
 
 
