@@ -26,12 +26,12 @@ REPRODUCTION += ["ratio_claims", "items", "report", "reproduce"]
 PEOPLE = [
     "names",
     "reading",
+    "stopping",
     "files",
     "io",
     "locks",
     "plot",
     "settings",
-    "stopping",
     "tables",
     "run_files",
     "runs",

@@ -8,6 +8,9 @@
 True
 """
 
+import jaxtissue.stopping  # noqa: F401  Ctrl-C is answered from here on: the other imports take seconds
+
+# isort: split
 from jaxtissue.anneal import Annealer, AnnealState, advance_together, record_together
 from jaxtissue.backbones import Backbones, distance_between_segments, distance_to_segment
 from jaxtissue.candidates import check_angles, find_candidates, sided, tiling_defect

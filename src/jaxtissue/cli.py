@@ -1,5 +1,7 @@
 """The command line. Results go to stdout, progress and errors to stderr."""
 
+import os
+import signal
 import sys
 import time
 import warnings
@@ -43,9 +45,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = vars(command_parser().parse_args(argv))
         work = {"anneal": anneal, "sweep": sweep, "measure": measure, "compare": compare}
         work |= {"reproduce": reproduce_paper, "info": info}
-        keep_compiled()
         warnings.formatwarning = lambda message, *_, **__: f"jaxtissue: warning: {message}\n"
-        return work[arguments.pop("command")](arguments)
+        keep_compiled()
+        code = work[arguments.pop("command")](arguments)
+        sys.stdout.flush()  # or it is only told at the very end that the reader has left
+        return code
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE  # without a word, as other commands of a pipe
     except ValueError as error:
         return _fail(error, 2)
     except OSError as error:
@@ -143,16 +150,16 @@ def compare(arguments: dict[str, Any]) -> int:
         check_folder(folder, arguments["force"])
     tube, backbones = _read(arguments)
     errors, exact_seconds = compare_presets(backbones.positions, tube, samples)
-    print("  ".join(f"{name:>10}" for name in errors))
-    for preset, *figures in zip(*errors.values(), strict=True):
-        print("  ".join([f"{preset:>10}", *(f"{figure:10.2e}" for figure in figures)]))
-    print(f"relative to the mean cell of the exact path ({samples} samples, {exact_seconds:.3g} s)")
     if folder:
         make_folder(folder)
         io.write_table(folder / "compare.csv", errors)
         rows = [dict(zip(errors, row, strict=True)) for row in zip(*errors.values(), strict=True)]
         summary = {"samples": samples, "exact_seconds": exact_seconds, "presets": rows}
         write_json(folder / "compare.json", summary | provenance())
+    print("  ".join(f"{name:>10}" for name in errors))
+    for preset, *figures in zip(*errors.values(), strict=True):
+        print("  ".join([f"{preset:>10}", *(f"{figure:10.2e}" for figure in figures)]))
+    print(f"relative to the mean cell of the exact path ({samples} samples, {exact_seconds:.3g} s)")
     return 0
 
 

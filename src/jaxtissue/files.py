@@ -16,7 +16,8 @@ from typing import IO, Any
 
 import numpy as np
 
-BEING_WRITTEN: set[Path] = set()  # to be removed where a process ends at once
+from jaxtissue.stopping import BEING_WRITTEN
+
 _LEFTOVER = re.compile(r"\.(.+\.)?(part|lock)")  # of processes that were killed, unless they still run
 _SEALED = re.compile(rb'(.*),\n  "checksum": "([0-9a-f]{64})"\n}\n', re.DOTALL)
 _DIGITS = 64  # of a SHA-256

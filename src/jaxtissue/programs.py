@@ -6,9 +6,13 @@ that are alike run together.
 """
 
 import functools
+import os
+import stat
 import time
+import warnings
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -79,11 +83,30 @@ def keep_compiled() -> None:
     """Keep what is compiled in the user's cache folder, for the next process.
 
     Unless JAX was told of a folder (`JAX_COMPILATION_CACHE_DIR`), or to keep nothing
-    (`JAX_ENABLE_COMPILATION_CACHE=0`). Where it can't be read or written, JAX warns and compiles.
+    (`JAX_ENABLE_COMPILATION_CACHE=0`). Where it can't be read or written, JAX warns and compiles. A folder
+    that others can write is not used, with a warning: programs in it could be theirs.
     """
     if not getattr(jax.config, "jax_compilation_cache_dir", None):
         jax.config.update("jax_compilation_cache_dir", platformdirs.user_cache_dir("jaxtissue"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    config: Any = jax.config  # its settings are not declared
+    folder = Path(config.jax_compilation_cache_dir)
+    if not _is_private(folder):
+        jax.config.update("jax_compilation_cache_dir", None)
+        told = f"others can write to {folder}, so what is compiled is neither kept nor taken from there"
+        warnings.warn(f"{told}; remove the folder", stacklevel=2)
+
+
+def _is_private(folder: Path) -> bool:
+    """Whether a folder, which is made for this user if it is not there, can be written by no other user."""
+    if os.name != "posix" or "://" in str(folder):
+        return True
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = folder.stat()
+    except OSError:
+        return True  # JAX warns
+    return status.st_uid in (os.geteuid(), 0) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def run_together(tasks: Sequence[Task[T]], slots: int = 0) -> list[T]:

@@ -7,6 +7,8 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import Any
 
 import jax
@@ -67,10 +69,14 @@ class Workers:
             yield from ((number, function(*call)) for number, call in enumerate(calls))
             return
         executor = self._start()
-        numbers = {executor.submit(function, *call): number for number, call in enumerate(calls)}
+        with _ignoring_interrupts():  # as do the processes that it starts, until they are set up
+            numbers = {executor.submit(function, *call): number for number, call in enumerate(calls)}
         try:
             for future in as_completed(numbers):
                 yield numbers[future], future.result()
+        except BrokenProcessPool as error:
+            told = "a worker process died: killed, or out of memory"
+            raise ChildProcessError(f"{told}; the same command goes on with what is kept") from error
         finally:  # where one failed or nobody wants the others
             for future in numbers:
                 future.cancel()
@@ -84,6 +90,19 @@ class Workers:
                 (CONFIG.jax_compilation_cache_dir, CONFIG.jax_enable_x64),
             )
         return self._executor
+
+
+@contextmanager
+def _ignoring_interrupts() -> Iterator[None]:
+    """Ignore Ctrl-C, where that can be said: in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    usual = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, usual)
 
 
 def _set_up(compiled: str | None, x64: bool) -> None:
