@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+import warnings
 from pathlib import Path
 
 import jax
@@ -16,12 +16,11 @@ import numpy as np
 import pytest
 
 import jaxtissue
-from jaxtissue import cli, io, tables
+from jaxtissue import edges, io, tables
 from jaxtissue.anneal import Annealer
 from jaxtissue.cli import main
 from jaxtissue.lines import PRESETS
 from jaxtissue.reading import read_backbones
-from jaxtissue.statistics import find_connectivity
 from jaxtissue.tube import Tube
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
@@ -356,17 +355,19 @@ def test_small_contacts_are_left_out_and_old_tables_removed(annealed, tmp_path):
     assert list(json.loads((folder / "summary.json").read_text())) == SIZES_SUMMED
 
 
-def test_lost_edges_are_told(annealed, tmp_path, monkeypatch, capsys):
-    def careless(*arguments):
-        found = find_connectivity(*arguments)
-        return replace(found, transitions=replace(found.transitions, open_ends=3))
+def test_lost_edges_are_told(annealed, tmp_path, monkeypatch):
+    def careless(leads):
+        graph, tied, lost = trace(leads)
+        return graph._replace(open_ends=3), tied, lost
 
+    trace = edges._trace
     run = ["measure", str(annealed / "backbones.csv"), *SIZES, "--resolution", "draft", "--out"]
-    assert main([*run, str(tmp_path / "whole")]) == 0
-    assert capsys.readouterr().err == ""
-    monkeypatch.setattr(cli, "find_connectivity", careless)
-    assert main([*run, str(tmp_path / "lost")]) == 0
-    assert "warning: 3 edges" in capsys.readouterr().err
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message=".* edges of the diagram")
+        assert main([*run, str(tmp_path / "whole")]) == 0
+    monkeypatch.setattr(edges, "_trace", careless)
+    with pytest.warns(UserWarning, match="^3 edges of the diagram"):
+        assert main([*run, str(tmp_path / "lost")]) == 0
     assert json.loads((tmp_path / "lost" / "summary.json").read_text())["open_ends"] == 3
 
 

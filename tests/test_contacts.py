@@ -130,8 +130,7 @@ def check_complete(positions: np.ndarray, tube: Tube, edges: EdgeGraph) -> None:
         own = labels[labels < n]
         assert row[own].max() - row.min() < 1e-10 * tube.length, f"vertex {vertex} of {labels}"
     ended = np.bincount(edges.edge_vertices[edges.edge_vertices >= 0], minlength=len(edges.vertices))
-    real = (edges.vertex_labels < n).sum(axis=1)
-    np.testing.assert_array_equal(ended, np.select([real >= 3, real == 2], [4, 2], 0))
+    np.testing.assert_array_equal(ended, 4)
     # and no backbone is nearer to an edge, half-way between the points known on it
     middle = edges.points.mean(axis=1)
     sag = np.linalg.norm(edges.tangents[:, 1] - edges.tangents[:, 0], axis=1) + 1e-3
@@ -167,7 +166,7 @@ def test_few_cells_are_complete(cells):
 def test_short_steps_find_nothing_more():
     # what a step could cross and cross back, a quarter of it would not
     positions, tube, edges = random_tissue(200)
-    careful = _trace(Leads(positions, tube, 4.0))
+    careful, *_ = _trace(Leads(positions, tube, 4.0))
     for found, again in (
         (edges.vertex_labels, careful.vertex_labels),
         (edges.edge_labels, careful.edge_labels),
@@ -228,9 +227,9 @@ def test_turning_mirroring_scaling_and_renaming_change_nothing():
     row = np.lexsort(renamed.T[::-1])
     np.testing.assert_array_equal(renamed[row], contacts.pairs)
     np.testing.assert_array_equal(other.kind[row], contacts.kind)
-    # walls bend where feet reach the apical end, and the quadrature there depends on where it is cut: 4e-4
+    # edges bend where feet reach the apical end, and the quadrature there depends on where it is cut
     np.testing.assert_allclose(
-        other.area[row], 2.5**2 * contacts.area, atol=1e-3 * 2.5**2 * contacts.area.mean()
+        other.area[row], 2.5**2 * contacts.area, atol=1e-5 * 2.5**2 * contacts.area.mean()
     )
 
 

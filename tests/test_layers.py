@@ -9,7 +9,7 @@ import jaxtissue
 
 TISSUE = ["backbones", "tube", "inputs", "sampling", "lines", "labels", "voronoi", "spread"]
 TISSUE += ["lowering", "views", "walls", "cells", "candidates", "shortlists", "diagrams", "exact"]
-CONTACTS = ["leads", "fronts", "edges", "contacts", "transitions", "statistics", "laws"]
+CONTACTS = ["leads", "fronts", "seeds", "edges", "rims", "contacts", "transitions", "statistics", "laws"]
 MOVES = ["energy", "coloring", "changes", "metropolis", "spans", "rounds", "records", "programs"]
 MOVES += ["schedules", "surveys", "anneal", "memory"]
 REPRODUCTION = ["workers", "tissues", "experiments", "ratios", "timings", "published", "figures"]

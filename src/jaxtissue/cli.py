@@ -30,7 +30,6 @@ from jaxtissue.tables import (
     CONTACT_TABLES,
     compare_presets,
     contact_summary,
-    contact_warning,
     tabulate_cells,
     write_contacts,
 )
@@ -136,8 +135,6 @@ def measure(arguments: dict[str, Any]) -> int:
     if connectivity is not None:
         write_contacts(folder, connectivity, columns if arguments["graph"] else None)
         summary |= contact_summary(connectivity) | {"contact_seconds": tracing}
-        if warning := contact_warning(connectivity):
-            print("jaxtissue: warning:", warning, file=sys.stderr)
     write_json(folder / "summary.json", summary)
     _print_summary(summary)
     return 0

@@ -1,21 +1,27 @@
 """The edges of the diagram, where three labels meet, followed from vertex to vertex.
 
-From each backbone a line along x meets the first wall on either surface; from there edges are followed to the
-vertices that end them, and from each new vertex its other edges. Every vertex ends as many edges as it has
-triples of labels, every edge has two ends: what is missing, or ended twice, shows as an open end.
+From seeds, edges are followed to the vertices that end them, and from each new vertex its other edges. Every
+vertex ends four edges, every edge has two ends: what is missing, or ended twice, shows as an open end.
 """
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
+from scipy.spatial import KDTree
 
 from jaxtissue.fronts import GOING, HOME, LOST, Fronts, begin, passes, refine, step
 from jaxtissue.inputs import as_positions
-from jaxtissue.leads import TOUCH, Leads, ranges
+from jaxtissue.leads import BOUNDS, TIE, TINY, TOUCH, Leads, ranges
+from jaxtissue.seeds import Seeds, seed, seed_lenses
 from jaxtissue.tube import Tube
 
-CARE = 2.0, 4.0  # by how much steps are shorter in a second and a third try
+TRIES = 8  # tracings at most
+CARE = 4.0  # by how much steps are shorter at most
+PART = 1e-7  # of the distances to their next: how far walls that meet in one line of four cells are parted
+NEAR_TIES = 4  # a fifth label may lag behind four by so many ties and still count as tied
+WIDE = 100  # times that: what is narrower may come of it
 FIRST = 8  # of the seeds one in so many is followed at first, then those on no edge yet
 
 
@@ -23,8 +29,8 @@ class EdgeGraph(NamedTuple):
     """Vertices and edges of a tissue of n cells by their sorted labels: cells, and n .. n + 3 the apical and
     basal surface and the ends x = 0 and x = L.
 
-    Edges with one cell only (of the tube itself) are left out. Edges come in short segments of given ends and
-    unit tangents, all along grad lead_1 x grad lead_2 over the edge's first label.
+    Those with one cell are arcs of the circles at the tube's ends. Edges come in short segments of given ends
+    and unit tangents, all along grad lead_1 x grad lead_2 over the edge's first label.
     """
 
     cells: int
@@ -35,82 +41,69 @@ class EdgeGraph(NamedTuple):
     segment_edge: Int[np.ndarray, " s"]
     points: Float[np.ndarray, "s 2 3"]
     tangents: Float[np.ndarray, "s 2 3"]
-    open_ends: int  # 0 unless backbones coincide or lie on a lattice
-
-
-class Seeds(NamedTuple):
-    """Points on edges, and their labels."""
-
-    point: Float[np.ndarray, "m 3"]
-    labels: Int[np.ndarray, "m 3"]
+    open_ends: int  # of edges, cells not met or told apart: if not 0, parts may be missing
+    blur: float  # how far walls are off, at most, where more than four labels met and had to be parted
 
 
 def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
     """All edges and vertices of the cells of backbones at (axial, angle) positions, [n, 2], in float64.
 
     Every step looks at all backbones near enough to lead; where an end stays open, or two edges come in at
-    it, all is traced again in shorter steps. Edges of a part of the diagram
-    that no edge joins to a wall beside a backbone are not seen: closed edges within the tissue. Paper,
+    it, all is traced again in shorter steps. Where five labels meet, as on lattices, tiny weights on the
+    squared distances of the cells concerned part them into vertices of four. Warns of open ends. Paper,
     section 4.1.
     """
-    positions = as_positions(positions, tube, np.float64)
-    graph = _trace(Leads(positions, tube))
-    for care in CARE:
-        if graph.open_ends:  # some step crossed a wall and crossed it back
-            careful = _trace(Leads(positions, tube, care))
-            graph = min(graph, careful, key=lambda graph: graph.open_ends)
-    return graph
+    place = as_positions(positions, tube, np.float64)
+    plain = Leads(place, tube)
+    random, weights, care, best = np.random.default_rng(0), np.zeros(len(place)), 1.0, None
+    for _ in range(TRIES):
+        graph, tied, lost = _trace(Leads(place, tube, care, weights if weights.any() else None))
+        rank = graph.open_ends, int(tied.sum())
+        if best is None or rank < best[0]:
+            best = rank, graph, weights.copy()
+        if not any(rank):
+            break
+        if not tied.any() and care < CARE:  # some step crossed a wall and crossed it back
+            care *= 2
+            continue
+        parted = tied if tied.any() else lost
+        gaps = _gaps(plain, plain.inner) * _gaps(plain, plain.outer)
+        weights[parted] = random.uniform(0, PART, parted.sum()) * gaps[parted]
+    assert best is not None
+    (_, untold), graph, weights = best
+    graph = graph._replace(open_ends=graph.open_ends + untold)
+    if graph.open_ends:
+        message = (
+            f"{graph.open_ends} edges of the diagram could not be followed: contacts and transitions may be"
+        )
+        warnings.warn(f"{message} missing; move backbones that nearly coincide apart", stacklevel=2)
+    return _settle(graph, plain, weights) if weights.any() else graph
 
 
-def _trace(leads: Leads) -> EdgeGraph:
+def _gaps(leads: Leads, radius: float) -> Float[np.ndarray, " n"]:
+    """How far from each backbone the next is at a radius."""
+    ends = np.stack([leads.axial, radius * leads.cosine, radius * leads.sine], axis=1)[: leads.count]
+    return KDTree(ends).query(ends, k=2)[0][:, 1]
+
+
+def _settle(graph: EdgeGraph, leads: Leads, weights: Float[np.ndarray, " n"]) -> EdgeGraph:
+    """The graph traced with weights: its vertices where they are without, if four walls meet in a point."""
+    blur = float((weights / np.maximum(_gaps(leads, leads.inner), TINY)).max()) / 2
+    small = np.full(len(graph.vertices), TOUCH * leads.size)
+    point, found = leads.solve(graph.vertices, graph.vertex_labels, small)
+    found &= np.abs(point - graph.vertices).max(axis=1, initial=0) < WIDE * blur
+    return graph._replace(vertices=np.where(found[:, None], point, graph.vertices), blur=blur)
+
+
+def _trace(leads: Leads) -> tuple[EdgeGraph, Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """The graph, the cells at vertices where a fifth label ties, and those whose edges were lost."""
     graph, seeds = _Growing(leads), seed(leads)
     graph.grow(Seeds(*(column[::FIRST] for column in seeds)))
     graph.grow(Seeds(*(column[~graph.covers(seeds)] for column in seeds)))
+    lenses = seed_lenses(*graph.walls(), leads)
+    if len(lenses.point):
+        graph.grow(Seeds(*(column[~graph.covers(lenses)] for column in lenses)))
     return graph.finish()
-
-
-def seed(leads: Leads) -> Seeds:
-    """Where each backbone's end, moved along x on either surface, meets a wall or an end."""
-    n, seeds = leads.count, []
-    own, surface = np.tile(leads.order, 2), np.repeat([0, 1], n)
-    radius = np.array([leads.inner, leads.outer])[surface]
-    place = np.stack([leads.axial[own], radius * leads.cosine[own], radius * leads.sine[own]], axis=1)
-    for side in (-1, 1):
-        away, other = first_wall(place, own, side, leads)
-        point = place.copy()
-        point[:, 0] = np.clip(place[:, 0] + side * away, 0, leads.length)
-        met = (point[:, 0] > 0) & (point[:, 0] < leads.length)
-        walls = np.stack([*np.sort([own, other], axis=0), n + surface], axis=1)
-        rims = np.stack([own, n + surface, np.full(2 * n, n + 2 + (side > 0))], axis=1)
-        seeds.append((point, np.where(met[:, None], walls, rims)))
-    return Seeds(*(np.concatenate(part) for part in zip(*seeds, strict=True)))
-
-
-def first_wall(
-    place: Float[np.ndarray, "m 3"], own: Int[np.ndarray, " m"], side: int, leads: Leads
-) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """How far along x, on one side of points on their own backbones, the first wall is, and whose.
-
-    A wall lies more than half-way to its backbone: those are looked through by axial place until it is so.
-    """
-    rank = np.empty(leads.count, int)
-    rank[leads.order] = np.arange(leads.count)
-    away, other = np.full(len(own), np.inf), own.copy()
-    open_, done, count = np.arange(len(own)), 0, 16
-    while len(open_):
-        ahead = rank[own[open_], None] + side * (done + 1 + np.arange(count))
-        rival = leads.order[np.clip(ahead, 0, leads.count - 1)]
-        lead, slope = leads.over_first(place[open_], np.append(own[open_, None], rival, axis=1))
-        toward = side * slope[0]
-        walls = np.where(toward > 0, -lead / np.where(toward > 0, toward, 1), np.inf)
-        best = walls.argmin(axis=1)[:, None]
-        wall, rival = (np.take_along_axis(table, best, axis=1)[:, 0] for table in (walls, rival))
-        nearer = wall < away[open_]
-        away[open_[nearer]], other[open_[nearer]] = wall[nearer], rival[nearer]
-        inside = (ahead[:, -1] >= 0) & (ahead[:, -1] < leads.count)
-        done, count = done + count, 2 * count
-        open_ = open_[inside & (toward[:, -1] / 4 < away[open_])]
-    return away, other
 
 
 class _Growing:
@@ -154,7 +147,7 @@ class _Growing:
 
     def _enter(self, fronts: Fronts, met: np.ndarray) -> None:
         """Enter the edges whose vertex has been reached."""
-        home = fronts.of((met == HOME) & (fronts.labels[:, 1] < self.leads.count))
+        home = fronts.of(met == HOME)
         self.edges += [(number, -1, -1) for number in home.number.tolist()]
         there = met >= 0
         ends = fronts.of(there)
@@ -195,7 +188,7 @@ class _Growing:
         triple, other = labels[:, rest].reshape(-1, 3), labels.ravel()
         end = 4 * first + np.arange(len(other))
         new = np.array([number not in self.closed for number in end.tolist()], bool)
-        go = np.flatnonzero((triple[:, 1] < self.leads.count) & new)
+        go = np.flatnonzero(new)
         triple, other, point = triple[go], other[go], point[go // 4]
         _, slope = self.leads.over_first(point, np.stack([triple[:, 0], other], axis=1))
         sign = -np.sign((self.leads.tangent(point, triple) * slope[..., 0].T).sum(axis=1))
@@ -220,8 +213,23 @@ class _Growing:
         near = passes(seeds.point[row], start, stop, np.linalg.norm(stop - start, axis=1) / 5)
         return np.bincount(row, near, len(wanted)) > 0
 
-    def finish(self) -> EdgeGraph:
-        """The graph traced."""
+    def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The pairs of cells with a wall, and a ball for each that holds whoever comes as near to its rim."""
+        labels, front, points = self._segments()
+        place, three = points.mean(axis=1), labels[front]
+        foot, out = self.leads.feet(place, three[:, 0]), np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
+        out += np.linalg.norm(place - foot, axis=1)
+        sides = np.concatenate([three[:, [0, 1]], three[:, [1, 2]], three[:, [0, 2]]])
+        wall = np.flatnonzero(sides[:, 1] < self.leads.count)
+        keys, which = np.unique(sides[wall] @ [self.leads.count, 1], return_inverse=True)
+        row, size = wall % len(three), np.bincount(which)
+        center = np.stack([np.bincount(which, x[row]) / size for x in place.T], axis=1)
+        reach = np.zeros(len(keys))
+        np.maximum.at(reach, which, np.linalg.norm(place[row] - center[which], axis=1) + out[row])
+        return np.stack(np.divmod(keys, self.leads.count), axis=1), center, reach
+
+    def finish(self) -> tuple[EdgeGraph, Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+        """The graph traced, and the cells at ties and at open ends."""
         leads, n = self.leads, self.leads.count
         labels, front, points = self._segments()
         begun = np.array(self.edges, int).reshape(-1, 3)
@@ -237,16 +245,25 @@ class _Growing:
         edge, points, along = edge[order], points[order], sign[front[order]]
         points = np.where((along > 0)[:, None, None], points, points[:, ::-1])
         points, tangents, segment = refine(points, labels[begun[edge, 0]], leads)
-        four = np.array(self.labels, int).reshape(-1, 4)
-        due = np.array([0, 0, 2, 4, 4])[(four < n).sum(axis=1)]  # triples with at least two cells
-        return EdgeGraph(
+        four, vertices = np.array(self.labels, int).reshape(-1, 4), np.array(self.points).reshape(-1, 3)
+        rival, beyond = leads.foremost(vertices, four)
+        tied, lost = np.zeros(n + BOUNDS, bool), np.zeros(n + BOUNDS, bool)
+        ties = beyond > -NEAR_TIES * TIE * leads.size
+        tied[four[ties]] = tied[rival[ties]] = True
+        ended = np.bincount(np.array(list(self.closed), int) // 4, minlength=len(four))
+        lost[four[ended < 4]] = True
+        unseen = np.bincount(labels[begun[:, 0]].ravel(), minlength=n)[:n] == 0  # behind a twin
+        lost[:n] |= unseen
+        graph = EdgeGraph(
             n,
-            np.array(self.points).reshape(-1, 3),
+            vertices,
             four,
             labels[begun[:, 0]],
             begun[:, 1:] // 4,
             edge[segment],
             points,
             tangents,
-            int(due.sum()) - len(self.closed) + self.excess,
+            int(4 * len(four) - len(self.closed) + self.excess + unseen.sum()),
+            0.0,
         )
+        return graph, tied[:n], lost[:n]

@@ -5,14 +5,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtissue.leads import TINY, TOUCH, Leads
+from jaxtissue.leads import TIE, TINY, TOUCH, Leads
 
 STEP = 0.6  # longest step, in mean cell widths at the local radius
-NEAR = 0.5  # longest step, in distances from the axis: within it edges bend as they come near the lumen
+NEAR = 0.5  # most that a step goes across the axis, in distances from it: edges bend near the lumen
 TURN = 0.4  # longest step, in radii of curvature
 BENT = 0.85  # cosine of the most that an edge may turn in a step
 FINE = 0.3  # most that edges turn, in radians, in the segments that are kept
 STRAY = 3e-4  # of its length: most by which an edge leaves the cubic through the ends of a segment
+BENDS = 4  # steps to where a foot leaves its backbone's end
 ENOUGH = 1e-7  # of a step: Newton's next step is its square
 GOING, HOME, LOST = -1, -2, -3  # nobody met yet; back where the front began; the step was too long
 
@@ -52,18 +53,25 @@ def begin(
 ) -> Fronts:
     """Fronts that start at points, numbered from `number` on."""
     ahead, turn = leads.curve(point, labels)
-    ahead, longest = sign[:, None] * ahead, widest(point, turn, leads)
+    ahead, longest = sign[:, None] * ahead, widest(point, ahead, turn, leads)
     safe = leads.look(point, labels, ahead, turn, longest)[2]
     numbers = number + np.arange(len(point))
     return Fronts(numbers, end, labels, sign, point, point, ahead, turn, longest, safe, np.zeros(len(point)))
 
 
-def widest(point: Float[np.ndarray, "m 3"], turn: Float[np.ndarray, "m 3"], leads: Leads) -> np.ndarray:
-    """The longest step allowed at points of edges of given curvature."""
-    radius = np.hypot(point[:, 1], point[:, 2])
+def widest(
+    point: Float[np.ndarray, "m 3"],
+    ahead: Float[np.ndarray, "m 3"],
+    turn: Float[np.ndarray, "m 3"],
+    leads: Leads,
+) -> np.ndarray:
+    """The longest step allowed at points of edges of given tangents and curvature."""
+    radius, across = np.hypot(point[:, 1], point[:, 2]), np.hypot(ahead[:, 1], ahead[:, 2])
     width = np.sqrt(2 * np.pi * leads.length / leads.count * radius)
-    bow = 1 / np.maximum(np.sqrt((turn**2).sum(axis=1)), TINY)
-    return np.minimum(np.minimum(STEP * width, NEAR * radius), TURN * bow) / leads.care
+    bend = np.maximum(np.sqrt((turn**2).sum(axis=1)), TINY)
+    near = 2 * NEAR * radius  # across s + bend s^2 / 2 = near / 2
+    near /= across + np.sqrt(across**2 + bend * near)
+    return np.minimum(np.minimum(STEP * width, near), TURN / bend) / leads.care
 
 
 def step(fronts: Fronts, leads: Leads) -> tuple[Fronts, Int[np.ndarray, " m"]]:
@@ -97,7 +105,7 @@ def advance(fronts: Fronts, size: np.ndarray, leads: Leads) -> tuple[Fronts, np.
 
     Whoever leads at the new point ends the edge before it, at the vertex with them.
     """
-    near, start, labels = TOUCH * leads.size, fronts.point, fronts.labels
+    near, tie, start, labels = TOUCH * leads.size, TIE * leads.size, fronts.point, fronts.labels
     far = size[:, None]
     guess = start + far * fronts.ahead + far**2 / 2 * fronts.turn
     point, found = leads.solve(guess, labels, np.maximum(ENOUGH * size, near))
@@ -105,16 +113,16 @@ def advance(fronts: Fronts, size: np.ndarray, leads: Leads) -> tuple[Fronts, np.
     point[~found] = start[~found]
     ahead, turn = leads.curve(point, labels)
     ahead *= fronts.sign[:, None]
-    reach = widest(point, turn, leads)
+    reach = widest(point, ahead, turn, leads)
     rival, beyond, safe = leads.look(point, labels, ahead, turn, reach)
-    open_ = np.flatnonzero((met == GOING) & (beyond > near))
+    open_ = np.flatnonzero((met == GOING) & (beyond > tie))
     for _ in range(8):  # each vertex lies before the last, until nobody leads there
         met[open_] = rival[open_]
         four = np.append(labels[open_], met[open_, None], axis=1)
         point[open_], found = leads.solve(point[open_], four, np.full(len(open_), near))
         met[open_[~found]], open_, four = LOST, open_[found], four[found]
         rival[open_], beyond[open_] = leads.foremost(point[open_], four)
-        open_ = open_[beyond[open_] > near]
+        open_ = open_[beyond[open_] > tie]
         if not len(open_):
             break
     met[open_] = LOST
@@ -132,26 +140,65 @@ def advance(fronts: Fronts, size: np.ndarray, leads: Leads) -> tuple[Fronts, np.
     return moved._replace(gone=fronts.gone + size), met
 
 
-def refine(
-    points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"], leads: Leads
-) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 2 3"], Int[np.ndarray, " t"]]:
-    """Segments of edges halved until they hardly turn, and follow the cubic through their ends: points, unit
-    tangents, and which of the segments given each is of."""
+class Segments(NamedTuple):
+    """Pieces of edges: their ends and unit tangents, and which of the segments given each is of."""
+
+    points: Float[np.ndarray, "s 2 3"]
+    tangents: Float[np.ndarray, "s 2 3"]
+    segment: Int[np.ndarray, " s"]
+
+    def split(self, chosen: np.ndarray, middle: np.ndarray, along: np.ndarray) -> "Segments":
+        """The chosen ones parted at points of given tangents; the second parts come last."""
+        points, tangents = (
+            np.concatenate([ends, np.stack([cut, ends[chosen, 1]], axis=1)])
+            for ends, cut in ((self.points, middle), (self.tangents, along))
+        )
+        points[chosen, 1], tangents[chosen, 1] = middle, along
+        return Segments(points, tangents, np.append(self.segment, self.segment[chosen]))
+
+
+def refine(points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"], leads: Leads) -> Segments:
+    """Segments of edges parted where a foot leaves its backbone's apical end, since edges bend there, and
+    halved until they hardly turn and follow the cubic through their ends."""
     tangents = leads.tangent(points.reshape(-1, 3), np.repeat(labels, 2, axis=0)).reshape(-1, 2, 3)
-    segment = new = np.arange(len(points))
+    parts = Segments(points, tangents, np.arange(len(points)))
+    for place in range(3):
+        parts = _part_at_bends(parts, labels[parts.segment], place, leads)
+    new = np.arange(len(parts.points))
     for _ in range(6):
-        turn = tangents[new, 0] - tangents[new, 1]
-        chord = np.linalg.norm(points[new, 1] - points[new, 0], axis=1)
-        guess = points[new].mean(axis=1) + chord[:, None] / 8 * turn
-        middle, found = leads.solve(guess, labels[segment[new]], ENOUGH * chord)
+        ends, ways = parts.points[new], parts.tangents[new]
+        turn, chord = ways[:, 0] - ways[:, 1], np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        guess = ends.mean(axis=1) + chord[:, None] / 8 * turn
+        middle, found = leads.solve(guess, labels[parts.segment[new]], ENOUGH * chord)
         stray = np.linalg.norm(middle - guess, axis=1) > STRAY * chord
         split = found & (stray | ((turn**2).sum(axis=1) > FINE**2))
         bent, middle = new[split], middle[split]
-        along = leads.tangent(middle, labels[segment[bent]])
-        new = np.append(bent, len(points) + np.arange(len(bent)))
-        points = np.concatenate([points, np.stack([middle, points[bent, 1]], axis=1)])
-        tangents = np.concatenate([tangents, np.stack([along, tangents[bent, 1]], axis=1)])
-        points[bent, 1], tangents[bent, 1] = middle, along
-        segment = np.append(segment, segment[bent])
-    order = np.argsort(segment, kind="stable")
-    return points[order], tangents[order], segment[order]
+        count = len(parts.points)
+        parts = parts.split(bent, middle, leads.tangent(middle, labels[parts.segment[bent]]))
+        new = np.append(bent, np.arange(count, len(parts.points)))
+    order = np.argsort(parts.segment, kind="stable")
+    return Segments(*(column[order] for column in parts))
+
+
+def _part_at_bends(parts: Segments, labels: Int[np.ndarray, "s 3"], place: int, leads: Leads) -> Segments:
+    """Segments parted where the foot on the backbone of one of their labels leaves its apical end."""
+    own = labels[:, place]
+    way = np.stack([leads.cosine[own], leads.sine[own]], axis=1)
+    above = (parts.points[..., 1:] * way[:, None]).sum(axis=-1) - leads.inner
+    bent = np.flatnonzero((own < leads.count) & (above.prod(axis=1) < 0))
+    ends, three, way, above = parts.points[bent], labels[bent], way[bent], above[bent]
+    share = (above[:, 0] / (above[:, 0] - above[:, 1]))[:, None]
+    middle = (1 - share) * ends[:, 0] + share * ends[:, 1]
+    small, good = ENOUGH * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), np.ones(len(bent), bool)
+    along = np.zeros_like(middle)
+    for _ in range(BENDS):
+        middle, found = leads.solve(middle, three, small)
+        along = leads.tangent(middle, three)
+        rate = (along[:, 1:] * way).sum(axis=1)
+        miss = (middle[:, 1:] * way).sum(axis=1) - leads.inner
+        good &= found & (np.abs(rate) > TINY)
+        middle = middle - (miss / np.where(good, rate, np.inf))[:, None] * along
+    chord = ends[:, 1] - ends[:, 0]
+    share = ((middle - ends[:, 0]) * chord).sum(axis=1) / (chord**2).sum(axis=1)
+    good &= (share > ENOUGH) & (share < 1 - ENOUGH)
+    return parts.split(bent[good], middle[good], along[good])

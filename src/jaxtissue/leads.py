@@ -2,7 +2,8 @@
 
 With h = y cos t_j + z sin t_j and the foot of cell j at radius s = max(h, R_a), its squared distance is
 d_j^2 = |p|^2 - 2 x x_j + x_j^2 - s (2 h - s). So the *lead* of j over a, d_a^2 - d_j^2, has the continuous
-gradient 2 (q_j - q_a), q the feet: lead / |gradient| is the distance to their wall, to first order. The four
+gradient 2 (q_j - q_a), q the feet: lead / |gradient| is the distance to their wall, to first order. Weights
+are taken from the squared distances: tiny ones part walls that meet in one line of four cells. The four
 bounds of the tissue count as cells n .. n + 3: apical, basal, x = 0 and x = L, with leads R_a^2 - r^2,
 r^2 - R_b^2, -x and x - L. An edge is where three labels lead equally, a vertex where four do. Label rows are
 sorted, so that a bound is never the first.
@@ -18,6 +19,7 @@ from jaxtissue.tube import Tube
 BOUNDS = 4
 TINY = 1e-300
 TOUCH = 1e-11  # in units of R_b + L: nearer is taken as touching
+TIE = 1e-13  # in units of R_b + L: leads that rounding may turn
 BLOCK = 2**15  # pairs of point and rival compared at once: what fits the processor's cache
 TURNS = 8  # most Newton steps
 SLACK = 0.6  # how much more than foreseen edges and walls turn against each other in the longest step
@@ -45,8 +47,11 @@ def ranges(first: Int[np.ndarray, " m"], size: Int[np.ndarray, " m"]) -> tuple[n
 class Leads:
     """Leads of the labels of one tissue; points [m, 3], label rows [m, k], gradients [3, m, k - 1]."""
 
-    def __init__(self, positions: ArrayLike, tube: Tube, care: float = 1.0) -> None:
+    def __init__(
+        self, positions: ArrayLike, tube: Tube, care: float = 1.0, weights: ArrayLike | None = None
+    ) -> None:
         self.care = care  # by how much steps are shorter
+        self.weight = None if weights is None else np.append(np.asarray(weights, float), np.zeros(BOUNDS))
         axial, angle = np.pad(np.asarray(positions, float).T, ((0, 0), (0, BOUNDS)))
         self.count, self.axial = len(axial) - BOUNDS, axial
         self.cosine, self.sine = np.cos(angle), np.sin(angle)
@@ -68,6 +73,8 @@ class Leads:
         gap, rise = self.axial[labels] - middle, foot - own_foot
         # written in differences: loses no digits where the cells are close
         lead = gap * (2 * (x - middle) - gap) + rise * (2 * height - foot - own_foot) + 2 * foot * turn
+        if self.weight is not None:
+            lead += self.weight[labels] - self.weight[own]
         slope = np.stack([gap, foot * turned_y + rise * cosine, foot * turned_z + rise * sine])
         slope *= 2
         row, column = np.nonzero(labels >= self.count)
@@ -194,14 +201,18 @@ class Leads:
         label[row[best]] = rival[best]
         return label, most, np.minimum(np.minimum.reduceat(safe, start), reach)
 
+    def feet(self, point: Float[np.ndarray, "m 3"], own: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m 3"]:
+        """The points of backbones that are nearest to given points."""
+        foot = np.maximum(point[:, 1] * self.cosine[own] + point[:, 2] * self.sine[own], self.inner)
+        return np.stack([self.axial[own], foot * self.cosine[own], foot * self.sine[own]], axis=1)
+
     def _span(self, point: np.ndarray, own: np.ndarray, ahead: np.ndarray, reach: np.ndarray) -> np.ndarray:
         """How far backbones may be that come to be as near as the own one within reach, on a curve that
         strays by a fifth of its length from its tangent."""
-        y, z = point[:, 1], point[:, 2]
-        foot = np.maximum(y * self.cosine[own] + z * self.sine[own], self.inner)
-        away = point - np.stack([self.axial[own], foot * self.cosine[own], foot * self.sine[own]], axis=1)
+        away = point - self.feet(point, own)
         later = away + reach[:, None] * ahead
         square = np.maximum((away**2).sum(axis=1), (later**2).sum(axis=1))
+        square += 0 if self.weight is None else self.weight.max()
         return np.sqrt(square) + 1.2 * reach + 1e-9 * self.size
 
     def _near(self, point: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

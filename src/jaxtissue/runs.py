@@ -29,7 +29,7 @@ from jaxtissue.schedules import has_stalled
 from jaxtissue.settings import Settings, now, other_bits
 from jaxtissue.statistics import find_connectivity
 from jaxtissue.stopping import Stop
-from jaxtissue.tables import contact_summary, contact_warning, tabulate_cells, write_contacts
+from jaxtissue.tables import contact_summary, tabulate_cells, write_contacts
 
 KEPT_SWEEPS = (0, 1, 5, 25, 50, 100, 250, 500, 1000, 2500, 5000, 10_000)  # drawn in the figures
 CHECKPOINT_SECONDS = 2.0  # with sweeps shorter than this no more than 4 s are ever lost
@@ -144,8 +144,6 @@ def _finish(run: Run, ended: bool = True) -> None:
     if connectivity is not None:
         write_contacts(run.folder, connectivity)
         summary |= contact_summary(connectivity)
-        if warning := contact_warning(connectivity):
-            say(f"warning: {warning}")
     shown = run.kept | {run.state.sweep: run.state.positions}
     fine = [measure_tissue(jnp.asarray(at), model.tube, PRESETS["fine"])[0] for at in shown.values()]
     fine_energy = [float(model.cell_energy(cells, model).sum()) for cells in fine]

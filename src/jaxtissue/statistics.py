@@ -11,6 +11,7 @@ from jaxtyping import ArrayLike, Bool, Float
 from jaxtissue.contacts import Contacts, find_contacts
 from jaxtissue.edges import EdgeGraph, trace_edges
 from jaxtissue.inputs import as_positions
+from jaxtissue.leads import BOUNDS
 from jaxtissue.transitions import CellForms, Transitions, find_forms, find_transitions
 from jaxtissue.tube import Tube
 
@@ -47,7 +48,7 @@ def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold:
         find_contacts(place, tube, threshold, edges),
         find_transitions(place, tube, edges),
         find_forms(place, tube, edges=edges),
-        _find_ends(place, tube, edges),
+        _find_ends(edges),
     )
 
 
@@ -159,15 +160,10 @@ def tissue_graph(connectivity: Connectivity, columns: Mapping[str, np.ndarray] |
     return graph
 
 
-def _find_ends(place: Float[np.ndarray, "n 2"], tube: Tube, edges: EdgeGraph) -> Bool[np.ndarray, " n"]:
-    """Who meets another on an end plane; one without edges is all the nearest cell's."""
-    is_end = np.zeros(edges.cells + 4, bool)
-    for bound, axial in ((edges.cells + 2, 0.0), (edges.cells + 3, float(tube.length))):
-        there = edges.edge_labels[edges.edge_labels[:, 2] == bound]
-        is_end[there] = True
-        if not len(there):
-            across = 2 * float(tube.apical_radius) * np.sin(place[:, 1] / 2)
-            is_end[np.hypot(place[:, 0] - axial, across).argmin()] = True
+def _find_ends(edges: EdgeGraph) -> Bool[np.ndarray, " n"]:
+    """Cells with an edge on an end plane."""
+    is_end = np.zeros(edges.cells + BOUNDS, bool)
+    is_end[edges.edge_labels[edges.edge_labels[:, 2] >= edges.cells + 2]] = True
     return is_end[: edges.cells]
 
 

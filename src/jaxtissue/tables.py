@@ -67,19 +67,12 @@ def tabulate_cells(
 def contact_summary(connectivity: Connectivity) -> dict[str, Any]:
     """The means over all cells and, under `inner`, over those that touch no end, with the numbers of cells.
 
-    `open_ends` counts edges of the diagram that could not be followed: 0 unless the tissue is degenerate.
+    `open_ends` counts edges of the diagram that could not be followed: parts may be missing then.
     """
     everywhere, inner = (summarize_connectivity(connectivity, only) for only in (False, True))
     summary = {"cells": len(connectivity.is_end)} | everywhere
     summary |= {"inner": {"cells": int((~connectivity.is_end).sum())} | inner}
     return summary | {"open_ends": connectivity.transitions.open_ends}
-
-
-def contact_warning(connectivity: Connectivity) -> str:
-    """What a user should know before trusting the contacts; empty where nothing is amiss."""
-    lost = connectivity.transitions.open_ends
-    remedy = "contacts and transitions may be missing; move coincident backbones apart"
-    return f"{lost} edges of the diagram could not be followed; {remedy}" if lost else ""
 
 
 def write_contacts(

@@ -7,10 +7,11 @@ from jaxtyping import ArrayLike, Bool, Float, Int
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from jaxtissue.contacts import Faces, along, find_faces
-from jaxtissue.edges import EdgeGraph, trace_edges
+from jaxtissue.contacts import Faces, find_faces
+from jaxtissue.edges import WIDE, EdgeGraph, trace_edges
 from jaxtissue.inputs import as_positions
 from jaxtissue.leads import Leads
+from jaxtissue.rims import along
 from jaxtissue.tube import Tube
 
 GAP = 1e-9  # of R_b: a gap in a silhouette that is no error of rounding
@@ -23,7 +24,7 @@ class Transitions:
     points: Float[np.ndarray, "k 3"]
     cells: Int[np.ndarray, "k 4"]
     per_cell: Int[np.ndarray, " n"]
-    open_ends: int  # edges of the diagram that could not be followed: 0 unless the tissue is degenerate
+    open_ends: int  # edges of the diagram that could not be followed: if not 0, parts may be missing
 
     @property
     def is_scutoid(self) -> Bool[np.ndarray, " n"]:
@@ -45,8 +46,9 @@ def find_transitions(
     """All transition points, d_a = d_b = d_c = d_d <= every other distance, R_a < r < R_b and 0 < x < L.
 
     They are the vertices of four cells at which the edges of the diagram end, to some 1e-14 of the tube's
-    size by Newton in float64; x along the axis, y = r cos(angle), z = r sin(angle). Positions as (axial,
-    angle), [n, 2]; `edges` spares tracing them anew. Paper, section 4.3 (decision: open tissue only).
+    size by Newton in float64; where four cells meet all along a line, as on a square lattice, there is none.
+    The frame is x along the axis, y = r cos(angle), z = r sin(angle). Positions as (axial, angle), [n, 2];
+    `edges` spares tracing them anew. Paper, section 4.3 (decision: open tissue only).
 
     >>> four = find_transitions([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> four.points.round(4).tolist(), four.cells.tolist()
@@ -54,9 +56,20 @@ def find_transitions(
     """
     graph = trace_edges(positions, tube) if edges is None else edges
     inner = graph.vertex_labels[:, 3] < graph.cells
+    if graph.blur:
+        inner &= ~_of_slivers(
+            graph, find_faces(graph, Leads(as_positions(positions, tube, np.float64), tube))
+        )
     cells = graph.vertex_labels[inner]
     per_cell = np.bincount(cells.ravel(), minlength=graph.cells)
     return Transitions(graph.vertices[inner], cells, per_cell, graph.open_ends)
+
+
+def _of_slivers(graph: EdgeGraph, faces: Faces) -> Bool[np.ndarray, " v"]:
+    """The vertices of walls without a width: cells that meet in a line do not change neighbors there."""
+    row = np.flatnonzero(~faces.is_wall(graph.blur)[faces.part])
+    vertices = graph.edge_vertices[faces.edge[row]]
+    return np.isin(np.arange(len(graph.vertices)), vertices)
 
 
 def find_forms(positions: Float[ArrayLike, "n 2"], tube: Tube, edges: EdgeGraph | None = None) -> CellForms:
@@ -71,10 +84,9 @@ def find_forms(positions: Float[ArrayLike, "n 2"], tube: Tube, edges: EdgeGraph 
     CellForms(is_ring=array([ True,  True]), pieces=array([1, 1]))
     """
     place = as_positions(positions, tube, np.float64)
-    if len(place) == 1:
-        return CellForms(np.ones(1, bool), np.ones(1, int))
     graph = trace_edges(place, tube) if edges is None else edges
-    return CellForms(_find_rings(place, tube, graph), _count_pieces(graph, find_faces(graph)))
+    faces = find_faces(graph, Leads(place, tube))
+    return CellForms(_find_rings(place, tube, graph), _count_pieces(graph, faces))
 
 
 def _find_rings(place: np.ndarray, tube: Tube, graph: EdgeGraph) -> Bool[np.ndarray, " n"]:
@@ -99,7 +111,7 @@ def _find_rings(place: np.ndarray, tube: Tube, graph: EdgeGraph) -> Bool[np.ndar
     high = np.maximum.accumulate(high + apart) - apart
     last = np.append(cell[1:] != cell[:-1], True)
     following = np.where(last, outer, np.append(low[1:], outer))
-    return np.bincount(cell, following > high + GAP * outer, n) > 0
+    return np.bincount(cell, following > high + GAP * outer + WIDE * graph.blur, n) > 0
 
 
 def _radial_ranges(graph: EdgeGraph, leads: Leads) -> tuple[Float[np.ndarray, " e"], Float[np.ndarray, " e"]]:
@@ -133,11 +145,13 @@ def _radial_ranges(graph: EdgeGraph, leads: Leads) -> tuple[Float[np.ndarray, " 
 def _count_pieces(graph: EdgeGraph, faces: Faces) -> Int[np.ndarray, " n"]:
     """Connected parts of each cell's boundary: its edges, joined if in the same piece of a face."""
     n, parts = graph.cells, np.arange(len(faces.part_face))
-    # holes, and rims that the tube's ends cut open, go with the first such rim, or the first whole one
-    rank = np.select([faces.is_cut, faces.is_outer], [0, 1], 2)
-    order = np.lexsort((rank, faces.part_face))
+    # the rim of a hole goes with the first piece; on a bound no face has holes, and all rims round the lumen
+    # are of one piece, as each such patch holds its backbone
+    bound = faces.labels[faces.part_face, 1] >= n
+    alone = np.where(bound, ~faces.is_round, faces.area > 0)
+    order = np.lexsort((np.where(bound, alone, ~alone), faces.part_face))
     main = order[np.searchsorted(faces.part_face[order], faces.part_face)]
-    piece = np.where(faces.is_outer & ~faces.is_cut, parts, main)[faces.part]
+    piece = np.where(alone, parts, main)[faces.part]
     cell = faces.labels[faces.face].T.ravel()
     kept = cell < n
     keys = np.stack([np.tile(faces.edge, 2), len(graph.edge_labels) + np.tile(piece, 2)])[:, kept]
