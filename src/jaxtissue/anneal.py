@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 from jaxtissue.cells import CellGeometry
 from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.coloring import CONFLICTS
-from jaxtissue.energy import Model
+from jaxtissue.energy import Model, check_energy, require_finite
 from jaxtissue.inputs import as_positions, check_count
 from jaxtissue.lines import Lines, Resolution, as_resolution
 from jaxtissue.metropolis import draw, warn_of_coarse_places
@@ -52,7 +52,7 @@ class Annealer:
     "mh". `conflicts` is the rule of move independence: "near", two moves conflict if one cell touches both
     movers, or could if one were moved as far as moves go on average; 2, 3 or 4 hops of contact; or the
     paper's 8 phi. A run is a function of `seed`, of the state it starts from and of the kind of device alone.
-    Raises `ValueError` for what it can't run.
+    Raises `ValueError` for what it can't run, such as an energy that overflows, in `advance` too.
     """
 
     def __init__(
@@ -73,6 +73,7 @@ class Annealer:
         temperatures = np.asarray(temperatures, float)
         if not (np.isfinite(temperatures).all() and (temperatures >= 0).all()):
             raise ValueError("temperatures must be finite and at least 0; change the schedule")
+        check_energy(model)
         dtype = jnp.result_type(float)
         self.model = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), model)
         self.resolution, self.algorithm, self.conflicts = as_resolution(resolution), algorithm, conflicts
@@ -238,6 +239,7 @@ class Annealer:
         padded_sizes = np.pad(sizes, ((0, 0), (0, SPAN - count), (0, 0)), mode="edge")  # one program for all
         request = Request(energy_terms, (CellGeometry(*padded_sizes), self.model), seldom=True)
         answer = yield from self._asker.ask(request)
+        require_finite(answer.result[0], self.model)
         return np.array([np.sum(term[:count], axis=1, dtype=float) for term in answer.result])
 
 

@@ -10,6 +10,10 @@ from jaxtissue.lines import as_resolution
 from jaxtissue.settings import Settings
 
 DEGREES = "angles of the table are degrees, not radians"
+RELATIVE = (
+    "K, LAMBDA and T without units: volumes in units of the mean cell's, Vbar, areas of Vbar^(2/3); the "
+    "paper's tube of 500 cells has --tension 0.0016 --temperature 0.0005"
+)
 TUBE_SIZES = ("length", "apical_radius", "basal_radius")
 _HELP = {
     "anneal": "anneal a tissue into a folder, or take up a run there",
@@ -73,6 +77,7 @@ def _add_anneal(command: argparse.ArgumentParser) -> None:
     }
     for name, (kind, metavar, text) in kinds.items():
         _add(command, name, text, getattr(Settings, name), type=kind, metavar=metavar)
+    command.add_argument("--relative", action="store_true", default=argparse.SUPPRESS, help=RELATIVE)
     _add_contacts(command, argparse.SUPPRESS, argparse.SUPPRESS)
     _add(command, "algorithm", "rounds of independent moves, or one move at a time", Settings.algorithm,
          choices=("is-mh", "mh"))  # fmt: skip
@@ -110,6 +115,7 @@ def _add_sweep(command: argparse.ArgumentParser) -> None:
          type=_resolution, metavar="NAME")  # fmt: skip
     _add(shared, "algorithm", "rounds of independent moves, or one move at a time", Settings.algorithm,
          choices=("is-mh", "mh"))  # fmt: skip
+    shared.add_argument("--relative", action="store_true", default=argparse.SUPPRESS, help=RELATIVE)
     _add_contacts(shared, argparse.SUPPRESS, argparse.SUPPRESS)
     work = command.add_argument_group("who does what")
     work.add_argument("--batch", type=_count(1), metavar="N", help="rows annealed together and kept as they "

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.cells import BLOCK, CellGeometry, Survey, measure_window, through_windows
-from jaxtissue.energy import Model
+from jaxtissue.energy import Model, cell_energies
 from jaxtissue.lines import Lines
 from jaxtissue.lowering import PUT, settled, taken
 from jaxtissue.tube import Tube
@@ -226,9 +226,9 @@ def local_differences(
     changes: Changes, real: Bool[Array, "items"], state: TissueState, model: Model, width: int
 ) -> Float[Array, "width"]:
     """Energy difference of each move: the sum over the cells it changes."""
-    new = model.cell_energy(CellGeometry(changes.volume, changes.lateral_area), model)
+    new = cell_energies(CellGeometry(changes.volume, changes.lateral_area), model)
     before = (taken(size, changes.cell) for size in (state.volume, state.lateral_area))
-    old = model.cell_energy(CellGeometry(*before), model)
+    old = cell_energies(CellGeometry(*before), model)
     return jnp.zeros(width, new.dtype).at[changes.move].add(jnp.where(real, new - old, 0), **PUT)
 
 

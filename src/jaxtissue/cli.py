@@ -71,6 +71,7 @@ def anneal(arguments: dict[str, Any]) -> int:
     if finish:
         raise ValueError("--finish is for a run that was stopped; add --resume")
     _refuse_both(arguments, "minimum_contact")
+    _need_relative(arguments, arguments)
     settings = Settings(**arguments)
     if settings.final_temperature is not None and not settings.temperature > 0:
         raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
@@ -85,6 +86,7 @@ def sweep(arguments: dict[str, Any]) -> int:
     _use_x64(arguments["x64"])
     _refuse_both(arguments, "minimum_contact")
     axes = {name: arguments.pop(name) for name in AXES if name in arguments}
+    _need_relative(arguments, axes)
     grid = Grid(axes, arguments)
     if grid.shared.get("final_temperature") and min(axes.get("temperature", [1.0])) == 0:
         raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
@@ -195,6 +197,13 @@ def _print_summary(summary: dict[str, Any]) -> None:
             print(f"\n{'':24}{'all':>12}{'inner':>12}")
         beside = f"{value:12.6g}{inner[name]:12.6g}" if name in inner else f"{value:.6g}"
         print(f"{name:24}{beside}")
+
+
+def _need_relative(arguments: dict[str, Any], given: dict[str, Any]) -> None:
+    """Raise `ValueError` for --relative with defaults that have units."""
+    for name in ("tension", "temperature"):
+        if arguments.get("relative") and name not in given:
+            raise ValueError(f"--relative needs --{name} without units; see --help for the paper's")
 
 
 def _refuse_both(arguments: dict[str, Any], *names: str) -> None:

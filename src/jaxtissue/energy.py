@@ -1,13 +1,20 @@
 """The energy of a tissue: a sum of per-cell terms (paper, section 3.1)."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from jaxtissue.cells import CellGeometry
+from jaxtissue.inputs import X64
 from jaxtissue.tube import Tube
 
+CONSTANTS = ("mean_volume", "modulus", "tension")
 CellEnergy = Callable[[CellGeometry, "Model"], Float[Array, "cells"]]
 
 
@@ -30,7 +37,9 @@ class Model(eqx.Module):
     """What a tissue's energy depends on beside the backbones: its tube, its constants, and the energy itself.
 
     `modulus` is K, `tension` Lambda, `mean_volume` Vbar; `cell_energy(cells, model)` gives E_i of each cell
-    and may be any jittable function of `CellGeometry.volume` and `lateral_area`. All but that are traced.
+    and may be any jittable function of `CellGeometry.volume` and `lateral_area`, of which each cell's energy
+    depends on its own alone. The constants are one number each, the same for all cells. All but the function
+    are traced.
     """
 
     tube: Tube
@@ -46,14 +55,94 @@ def tube_model(
     modulus: float = 1.0,
     tension: float = 0.4,
     cell_energy: CellEnergy = epithelial_energy,
+    relative: bool = False,
 ) -> Model:
     """The model of `cells` cells that fill `tube`: Vbar = |D| / n. The paper's constants are the defaults.
 
-    Raises `ValueError` for a modulus or tension that is negative or not finite, and for no cells.
+    `relative` constants have no units: E_i = K/2 (1 - V_i / Vbar)^2 + Lambda A_i / Vbar^(2/3), so that a
+    tissue has the same energy in every unit of length; those of an energy of one's own are K / Vbar^2 and
+    Lambda / Vbar^(2/3).
+
+    Raises `ValueError` for a modulus or tension that is no number, negative or not finite, and for no cells.
     """
     for name, value in (("modulus", modulus), ("tension", tension)):
-        if not 0 <= value < float("inf"):
+        _check_constant(name, value)
+        if not isinstance(value, Tracer) and not 0 <= value < float("inf"):
             raise ValueError(f"{name}={value} is not a finite number of at least 0; give one")
     if cells < 1:
         raise ValueError(f"cells={cells}: a tissue has at least one cell")
-    return Model(tube, tube.volume / cells, modulus, tension, cell_energy)
+    mean = tube.volume / cells
+    if relative:
+        return Model(tube, mean, modulus / mean**2, tension / mean ** (2 / 3), cell_energy)
+    return Model(tube, mean, modulus, tension, cell_energy)
+
+
+def cell_energies(cells: CellGeometry, model: Model) -> Float[Array, "cells"]:
+    """E_i of each cell by the model's energy.
+
+    Raises `ValueError`, while it is traced, for constants that are not one number each and for an energy that
+    does not give one number a cell.
+    """
+    for name in CONSTANTS:
+        _check_constant(name, getattr(model, name))
+    found, wanted = model.cell_energy(cells, model), jnp.shape(cells.volume)
+    if jnp.shape(found) != wanted or not jnp.issubdtype(jnp.result_type(found), jnp.floating):
+        given = f"{jnp.result_type(found)} of shape {jnp.shape(found)} for cells of shape {wanted}"
+        raise ValueError(f"{_name(model)} gives {given}; give one real number for each cell")
+    return found
+
+
+def check_energy(model: Model) -> None:
+    """Raise `ValueError` for an energy that can't be annealed in the precision JAX works in.
+
+    It is tried on a few cells of about the mean volume: constants must be one number each, and energies one
+    finite number a cell that depends on that cell alone, neither over- nor underflowing.
+    """
+    for name in CONSTANTS:
+        _check_constant(name, getattr(model, name))
+    dtype = np.dtype(jnp.result_type(float))
+    with np.errstate(over="ignore"):
+        model = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), model)
+        volume: Any = np.array([0.5, 1.001, 1.5, 2], dtype) * model.mean_volume
+        area: Any = np.array([5, 6, 7, 8], dtype) * model.mean_volume ** dtype.type(2 / 3)
+    try:
+        energy, part = (_try(CellGeometry(volume[:count], area[:count]), model) for count in (4, 2))
+    except (TypeError, IndexError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{_name(model)} fails ({reason}); give a function of each cell alone") from error
+    require_finite(energy, model)
+    if not np.allclose(energy[:2], part, rtol=1e-3, atol=1e-6 * float(np.abs(energy).max())):
+        raise ValueError(f"{_name(model)} of a cell depends on others; give a function of each cell alone")
+    if model.cell_energy in (epithelial_energy, volume_elasticity):
+        off = float(volume[1]) - float(model.mean_volume)
+        right = float(model.modulus) / 2 * off**2
+        least = np.asarray(volume_elasticity(CellGeometry(volume, area), model), float)[1]
+        if not 0.9 * right <= least <= 1.1 * right:
+            small = f"modulus={model.modulus} makes energies of {right:.1g}, which vanish in {dtype}"
+            raise ValueError(f"{small}; change the unit of length or {X64}")
+
+
+def require_finite(energies: Any, model: Model) -> None:
+    """Raise `ValueError` for energies that are infinite or not numbers."""
+    energy = np.asarray(energies)
+    if np.isfinite(energy).all():
+        return
+    constants = ", ".join(f"{name}={float(getattr(model, name)):.6g}" for name in CONSTANTS)
+    found = f"{_name(model)} is {energy[~np.isfinite(energy)][0]} in {energy.dtype} ({constants})"
+    single = energy.dtype == np.float32
+    raise ValueError(f"{found}; change units{f' or {X64}' if single else ''}, or correct the energy")
+
+
+@jax.jit
+def _try(cells: CellGeometry, model: Model) -> Float[Array, "cells"]:
+    return cell_energies(cells, model)
+
+
+def _check_constant(name: str, value: Any) -> None:
+    if isinstance(value, str | bool) or np.shape(value) != ():
+        given = repr(value) if np.shape(value) == () else f"an array of shape {np.shape(value)}"
+        raise ValueError(f"{name} is {given}; give one number, the same for all cells")
+
+
+def _name(model: Model) -> str:
+    return f"cell_energy {getattr(model.cell_energy, '__name__', model.cell_energy)}"

@@ -111,5 +111,6 @@ def describe(row: Settings) -> dict[str, Any]:
     """The parameters of a run as columns of the table."""
     names = ("length", "apical_radius", "basal_radius", "cells", "modulus", "tension", "temperature", "seed")
     values = {name: getattr(row, name) for name in (*names, "sweeps", "algorithm", "resolution")}
+    values |= {"relative": True} if row.relative else {}
     values |= {} if row.final_temperature is None else {"final_temperature": row.final_temperature}
     return {"ratio": row.basal_radius / row.apical_radius} | values

@@ -1,5 +1,6 @@
 """What a run tells of each sweep, and a tissue as it is measured between sweeps."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,8 @@ from jaxtissue.changes import Neighborhoods, TissueState
 from jaxtissue.metropolis import SweepInfo
 from jaxtissue.shortlists import CANDIDATES, TOUCHES, around, nearest_sides, shortlist_length
 
+ENOUGH = 200  # moves by which acceptance is judged
+ALL = 0.95  # of the moves, accepted: nearly all
 AROUND = 56  # who may be around a cell that has CANDIDATES on each side: room enough for most tissues
 
 
@@ -78,6 +81,26 @@ def sweep_record(
         left_cell=left_cell,
         drift=0.0,
     )
+
+
+class AcceptanceWatch:
+    """Doubts an acceptance of a run's first moves that says that T does not fit the energy."""
+
+    def __init__(self, cells: int) -> None:
+        self._cells, self._moves, self._accepted, self._done = cells, 0, 0.0, False
+
+    def doubt(self, records: Sequence[SweepRecord]) -> str:
+        """A warning, once, after enough moves of which none, or nearly all, were accepted; else nothing."""
+        self._moves += self._cells * len(records)
+        self._accepted += self._cells * sum(record.acceptance for record in records)
+        if self._done or self._moves < ENOUGH:
+            return ""
+        share, self._done = self._accepted / self._moves, True
+        if 0 < share <= ALL:
+            return ""
+        wrong, change = ("no move is", "higher") if share == 0 else (f"{share:.0%} of the moves are", "lower")
+        fit = f"T = {records[-1].temperature:g} does not fit the energies, which have the units of lengths"
+        return f"{wrong} accepted: {fit}; take a {change} --temperature, or --relative"
 
 
 def least_around(cells: int) -> int:

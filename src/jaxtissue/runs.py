@@ -24,6 +24,7 @@ from jaxtissue.files import (
 from jaxtissue.lines import PRESETS
 from jaxtissue.locks import alone
 from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes
+from jaxtissue.records import AcceptanceWatch
 from jaxtissue.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
 from jaxtissue.schedules import has_stalled
 from jaxtissue.settings import Settings, now, other_bits
@@ -97,7 +98,7 @@ def _go_on(run: Run, stop: Stop) -> int:
 def _sweep(run: Run, stop: Stop) -> bool:
     """Sweep, write each row, save every few seconds; whether the run came to its end."""
     path, settings = run.folder / "sweeps.csv", run.settings
-    energies = io.read_sweeps(path)["energy"].tolist()
+    energies, watch = io.read_sweeps(path)["energy"].tolist(), AcceptanceWatch(settings.cells)
 
     def ended() -> bool:
         stalled = settings.patience > 0 and has_stalled(energies, settings.patience)
@@ -120,8 +121,11 @@ def _sweep(run: Run, stop: Stop) -> bool:
                     run.kept[record.sweep] = positions
             if compiling:
                 compiling = False
-                say(f"compiled in {run.annealer.compile_seconds:.1f} s; annealing")
+                told = f"acceptance {records[-1].acceptance:.2g} in sweep {records[-1].sweep}"
+                say(f"compiled in {run.annealer.compile_seconds:.1f} s; annealing, {told}")
                 bar.set_description("annealing", refresh=False)
+            if doubt := watch.doubt(records):
+                say(f"warning: {doubt}")
             bar.update(len(records))
             shown = {"energy": f"{records[-1].energy:.4g}", "acceptance": f"{records[-1].acceptance:.2f}"}
             bar.set_postfix(shown | {"rounds": records[-1].rounds})

@@ -32,7 +32,7 @@ class Settings:
     `backbones` is a CSV file to start from, its angles in `degrees` or radians; else `cells` random ones are
     made from `seed`. A `final_temperature` makes the cooling geometric. The run ends early when the energy
     has not fallen for `patience` sweeps (0: never). Walls below `minimum_contact`, a fraction of the mean
-    wall, are no contacts.
+    wall, are no contacts. `relative` constants and temperatures are those of `tube_model`.
     """
 
     length: float = 100.0
@@ -47,6 +47,7 @@ class Settings:
     final_temperature: float | None = None
     modulus: float = 1.0
     tension: float = 0.4
+    relative: bool = False
     algorithm: str = "is-mh"
     resolution: str = "draft"
     patience: int = 0
@@ -69,7 +70,7 @@ class Settings:
 
     def annealer(self, cooling_sweeps: int) -> Annealer:
         """What advances the run. Raises `ValueError` for settings that make none."""
-        model = tube_model(self.tube, self.cells, self.modulus, self.tension)
+        model = tube_model(self.tube, self.cells, self.modulus, self.tension, relative=self.relative)
         temperatures = self.temperatures(cooling_sweeps)
         return Annealer(model, self.resolution, self.algorithm, self.seed, temperatures)
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from jaxtissue.candidates import padded
 from jaxtissue.cells import CellGeometry
 from jaxtissue.changes import Neighborhoods, TissueState, tissue_state
-from jaxtissue.energy import Model, lateral_tension, volume_elasticity
+from jaxtissue.energy import Model, cell_energies, lateral_tension, volume_elasticity
 from jaxtissue.lines import Lines
 from jaxtissue.metropolis import Order, SweepInfo, sweep
 from jaxtissue.shortlists import distances, see
@@ -70,4 +70,4 @@ def fit_play(arguments: tuple, sizes: tuple[int, ...]) -> tuple:
 
 def energy_terms(cells: CellGeometry, model: Model) -> tuple[Array, Array, Array]:
     """Each cell's energy, and of it the paper's two terms."""
-    return model.cell_energy(cells, model), volume_elasticity(cells, model), lateral_tension(cells, model)
+    return cell_energies(cells, model), volume_elasticity(cells, model), lateral_tension(cells, model)

@@ -14,7 +14,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from jaxtissue import io
 from jaxtissue.diagrams import measure_tissue
-from jaxtissue.energy import Model
+from jaxtissue.energy import Model, cell_energies, require_finite
 from jaxtissue.exact import exact_cells
 from jaxtissue.files import replacing
 from jaxtissue.lines import PRESETS, Resolution
@@ -44,7 +44,8 @@ def tabulate_cells(
     axial, angle = np.asarray(positions).T
     positions = model.tube.reflect(jnp.asarray(positions))
     cells, overflow = measure_tissue(positions, model.tube, resolution)
-    energy = np.asarray(model.cell_energy(cells, model))
+    energy = np.asarray(cell_energies(cells, model))
+    require_finite(energy, model)
     columns = {"cell": np.arange(len(axial)), "axial": axial, "angle": angle}
     columns |= {name: np.asarray(getattr(cells, name)) for name in _SIZES}
     columns |= {"energy": energy, "is_end": np.asarray(cells.touches_end)}
