@@ -9,6 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from jaxtissue.cli import main
+from jaxtissue.locks import alone
 from jaxtissue.reproduction import experiments, reproduce, timings, tissues
 from jaxtissue.reproduction.experiments import QUICK, Plan, Store, measure_runs, measure_volumes
 from jaxtissue.reproduction.items import ITEMS, Product
@@ -75,6 +76,9 @@ def test_a_folder_with_other_files_is_left_alone(tmp_path, capsys):
     (tmp_path / "thesis.txt").write_text("mine")
     assert main(["reproduce", "fig7", "--quick", "--out", str(tmp_path)]) == 2
     assert "other files" in capsys.readouterr().err and len(list(tmp_path.iterdir())) == 1
+    with alone(tmp_path):
+        assert main(["reproduce", "fig7", "--quick", "--out", str(tmp_path), "--force"]) == 2
+    assert "a reproduction is under way" in capsys.readouterr().err
     (tmp_path / "manifest.json").write_text("[]")
     assert main(["reproduce", "fig7", "--quick", "--out", str(tmp_path)]) == 2
 

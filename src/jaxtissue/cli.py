@@ -19,6 +19,7 @@ from jaxtissue.energy import tube_model
 from jaxtissue.files import check_folder, make_folder, write_json
 from jaxtissue.grid_runs import check_grid_folder, run_grid
 from jaxtissue.grids import AXES, Grid
+from jaxtissue.locks import alone
 from jaxtissue.programs import keep_compiled
 from jaxtissue.reading import BackboneTable, read_backbones
 from jaxtissue.reproduction.reproduce import choose_items, make_plan, reproduce
@@ -168,7 +169,7 @@ def reproduce_paper(arguments: dict[str, Any]) -> int:
     _use_x64(arguments["x64"])
     use_cores(1)
     plan = make_plan(arguments["quick"], arguments["seeds"])
-    with Workers(free_cores()) as workers:
+    with Workers(free_cores()) as workers, alone(arguments["out"], what="a reproduction"):
         manifest = reproduce(arguments["out"], items, plan, arguments["force"], workers)
     for item in items:
         print(f"{item:8}{manifest['items'][item]['seconds']:10.1f} s")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxtissue import io
-from jaxtissue.files import make_folder, replacing, write_json
+from jaxtissue.files import is_empty, make_folder, replacing, write_json
 from jaxtissue.reproduction.claims import Claim
 from jaxtissue.reproduction.experiments import FORMAT, QUICK, Plan, Store, Table
 from jaxtissue.reproduction.items import ITEMS, Product
@@ -72,7 +72,7 @@ def _open(folder: Path, plan: Plan, force: bool) -> dict[str, Any]:
     """The manifest of the folder, with the items whose files are all there, if they are of this format."""
     path = folder / "manifest.json"
     arguments = json.loads(json.dumps(asdict(plan)))
-    if folder.exists() and not path.exists() and any(folder.iterdir()) and not force:
+    if folder.exists() and not path.exists() and not is_empty(folder) and not force:
         raise ValueError(f"the output folder {folder} holds other files; choose another or add --force")
     manifest: dict[str, Any] = {"format": FORMAT, "plan": arguments, "items": {}}
     if path.exists():
