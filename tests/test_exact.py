@@ -167,6 +167,23 @@ def test_scale() -> None:
     assert_same(found, exact_cells(positions, TUBE, 10), length=3.7)
 
 
+@pytest.mark.parametrize("length, tolerance", [(1000.0, 1e-10), (9000.0, 1e-7), (29_900.0, 5e-6)])
+def test_cells_far_along_a_long_tube(length: float, tolerance: float) -> None:
+    """Roundoff of Qhull's corners grows with the square of the way to the tube's ends."""
+    positions = random_positions(30)
+    inner = np.argsort(positions[:, 0])[8:22]
+    short = exact_cells(positions + np.array([15.0, 0.0]), Tube(40.0, 1.0, 3.0), 20)
+    long = exact_cells(positions + np.array([0.7 * length, 0.0]), Tube(length, 1.0, 3.0), 20)
+    assert long.volume[inner] == pytest.approx(short.volume[inner], rel=tolerance)
+    assert long.lateral_area[inner] == pytest.approx(short.lateral_area[inner], rel=tolerance)
+
+
+def test_tubes_too_long_for_qhull_are_refused() -> None:
+    positions = random_positions(30) + np.array([70_000.0, 0.0])
+    with pytest.raises(ValueError, match=r"length=100000.0 is 3.33e\+04 basal radii; .* 10000 at most"):
+        exact_cells(positions, Tube(1e5, 1.0, 3.0))
+
+
 def test_order_of_backbones() -> None:
     positions, order = random_positions(25), np.random.default_rng(1).permutation(25)
     found, expected = exact_cells(positions[order], TUBE, 10), exact_cells(positions, TUBE, 10)
