@@ -7,7 +7,7 @@ import pytest
 
 import jaxtissue
 
-TISSUE = ["backbones", "tube", "inputs", "sampling", "lines", "labels", "voronoi", "spread"]
+TISSUE = ["modes", "backbones", "tube", "inputs", "sampling", "lines", "labels", "voronoi", "spread"]
 TISSUE += ["lowering", "views", "walls", "cells", "candidates", "shortlists", "diagrams", "exact"]
 CONTACTS = ["leads", "fronts", "seeds", "edges", "rims", "contacts", "transitions", "statistics", "laws"]
 MOVES = ["energy", "coloring", "changes", "metropolis", "spans", "rounds", "records", "programs"]
@@ -32,6 +32,7 @@ PEOPLE = [
     "locks",
     "plot",
     "settings",
+    "streams",
     "tables",
     "run_files",
     "runs",

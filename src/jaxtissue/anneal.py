@@ -17,6 +17,7 @@ from jaxtissue.energy import Model, check_energy, require_finite
 from jaxtissue.inputs import as_positions, check_count
 from jaxtissue.lines import Lines, Resolution, as_resolution
 from jaxtissue.metropolis import draw, warn_of_coarse_places
+from jaxtissue.modes import usual_modes
 from jaxtissue.programs import Ahead, Asker, Request, Task, run_together
 from jaxtissue.records import Measured, SweepRecord, least_around, shortlisted, sweep_record
 from jaxtissue.rounds import independent_rounds, one_by_one, padded_orders, round_width
@@ -87,6 +88,7 @@ class Annealer:
         """How long this traced or waited for programs."""
         return self._asker.compile_seconds
 
+    @usual_modes()
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
         """The state before the first sweep.
 
@@ -243,6 +245,7 @@ class Annealer:
         return np.array([np.sum(term[:count], axis=1, dtype=float) for term in answer.result])
 
 
+@usual_modes()
 def advance_together(
     annealers: Sequence[Annealer], states: Sequence[AnnealState], slots: int = 0
 ) -> list[Span]:
@@ -257,6 +260,7 @@ def advance_together(
     return run_together(tasks, slots)
 
 
+@usual_modes()
 def record_together(
     annealers: Sequence[Annealer], states: Sequence[AnnealState], slots: int = 0
 ) -> list[SweepRecord]:

@@ -4,6 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxtissue.modes import usual_modes
+
 
 class Backbones(eqx.Module):
     """The two ends of each cell's backbone, in Cartesian coordinates (unit: that of the tissue's lengths)."""
@@ -12,6 +14,7 @@ class Backbones(eqx.Module):
     basal: Float[Array, "n 3"]
 
 
+@usual_modes()
 def distance_to_segment(
     point: Float[Array, "3"], start: Float[Array, "3"], end: Float[Array, "3"]
 ) -> Float[Array, ""]:
@@ -31,6 +34,7 @@ def distance_to_segment(
     return jnp.linalg.norm(point - start - share * along)
 
 
+@usual_modes()
 def distance_between_segments(
     start_a: Float[Array, "3"], end_a: Float[Array, "3"], start_b: Float[Array, "3"], end_b: Float[Array, "3"]
 ) -> Float[Array, ""]:

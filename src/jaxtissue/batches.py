@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtissue.anneal import Annealer, AnnealState, advance_together, record_together
+from jaxtissue.modes import random_key
 from jaxtissue.records import SweepRecord
 from jaxtissue.settings import Settings
 from jaxtissue.statistics import find_connectivity, summarize_connectivity
@@ -57,7 +58,7 @@ def anneal_batch(
 def _start(annealer: Annealer, row: Settings) -> AnnealState:
     """The state before the first sweep, as in a run of its own."""
     tube = row.tube
-    return annealer.start(tube.reflect(tube.random_positions(jax.random.key(row.seed), row.cells)))
+    return annealer.start(tube.reflect(tube.random_positions(random_key(row.seed), row.cells)))
 
 
 def summarize(row: Settings, outcome: Outcome) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from scipy import sparse
 
 from jaxtissue.cells import BLOCK
 from jaxtissue.lowering import options, settled
+from jaxtissue.modes import usual_modes
 from jaxtissue.tube import Tube
 from jaxtissue.views import LEVEL, pick, posts, see_rivals, see_turned
 from jaxtissue.walls import least_reach
@@ -29,6 +30,7 @@ ROWS = 128  # cells compared at once: tables that fit the cache
 TILES = 1e-5  # relative defect of the lengths along a line above which lists are taken as incomplete
 
 
+@usual_modes()
 def find_candidates(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0
 ) -> Int[np.ndarray, "n 2 side_candidates"]:
@@ -225,6 +227,7 @@ def check_angles(tube: Tube, cells: int) -> Float[np.ndarray, "layers lines"]:
     return (0.123 + 2 * math.pi / lines * (np.arange(lines) + between[:, None])).astype(np.float32)
 
 
+@usual_modes()
 @jax.jit
 def tiling_defect(
     positions: Float[Array | np.ndarray, "n 2"],

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.lines import Lines
 from jaxtissue.lowering import PUT, settled, taken
+from jaxtissue.modes import usual_modes
 from jaxtissue.tube import Tube
 from jaxtissue.views import Posts, pick, posts, see_rivals, see_window
 from jaxtissue.walls import END, Walls, stop, strips, walls
@@ -162,6 +163,7 @@ class Survey(NamedTuple):
     ]  # or on another of the middle window, which else might bear on it
 
 
+@usual_modes()
 def measure_cells(
     positions: Float[Array, "n 2"],
     tube: Tube,

@@ -11,6 +11,7 @@ from jaxtissue.cells import BLOCK, CellGeometry, Survey, measure_window, through
 from jaxtissue.energy import Model, cell_energies
 from jaxtissue.lines import Lines
 from jaxtissue.lowering import PUT, settled, taken
+from jaxtissue.modes import usual_modes
 from jaxtissue.tube import Tube
 from jaxtissue.views import LEVEL, Posts, Rivals, meeting, pick, posts, see_lines, turn_between
 
@@ -48,6 +49,7 @@ class Changes(NamedTuple):
     wide: Bool[Array, "items"]
 
 
+@usual_modes()
 def tissue_state(positions: Float[Array, "n 2"], seen: Survey) -> TissueState:
     """The state of a tissue that was measured."""
     sizes = seen.sizes

@@ -20,6 +20,7 @@ from jaxtissue.files import check_folder, make_folder, write_json
 from jaxtissue.grid_runs import check_grid_folder, run_grid
 from jaxtissue.grids import AXES, Grid
 from jaxtissue.locks import alone
+from jaxtissue.modes import usual_modes
 from jaxtissue.programs import keep_compiled
 from jaxtissue.reading import BackboneTable, read_backbones
 from jaxtissue.reproduction.reproduce import choose_items, make_plan, reproduce
@@ -27,6 +28,7 @@ from jaxtissue.reproduction.workers import Workers, free_cores
 from jaxtissue.runs import resume_annealing, run_annealing
 from jaxtissue.settings import Settings, provenance, versions
 from jaxtissue.statistics import find_connectivity
+from jaxtissue.streams import open_streams
 from jaxtissue.tables import (
     CONTACT_TABLES,
     compare_presets,
@@ -41,13 +43,17 @@ EXTRAS = ("tifffile", "skimage", "pyevtk", "pandas", "pyvista", "trimesh")
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 2 bad input, 128 + signal stopped, 1 other."""
+    open_streams()
     try:
         arguments = vars(command_parser().parse_args(argv))
         work = {"anneal": anneal, "sweep": sweep, "measure": measure, "compare": compare}
         work |= {"reproduce": reproduce_paper, "info": info}
         warnings.formatwarning = lambda message, *_, **__: f"jaxtissue: warning: {message}\n"
+        if jax.config.jax_enable_x64 and not arguments.get("resume"):  # type: ignore[attr-defined]
+            arguments["x64"] = True  # as JAX_ENABLE_X64 says; a run that is resumed keeps its own
         keep_compiled()
-        code = work[arguments.pop("command")](arguments)
+        with usual_modes():
+            code = work[arguments.pop("command")](arguments)
         sys.stdout.flush()  # or it is only told at the very end that the reader has left
         return code
     except BrokenPipeError:
@@ -57,6 +63,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, 2)
     except OSError as error:
         return _fail(error, 1)
+    except RuntimeError as error:
+        if "backend" not in str(error):  # as JAX says where a platform that it was told of is not there
+            raise
+        return _fail(f"JAX does not start ({error}); correct or unset JAX_PLATFORMS", 2)
     except MemoryError as error:
         return _fail(f"out of memory ({error}); take fewer cells", 1)
     except KeyboardInterrupt:
@@ -222,8 +232,8 @@ def _read(arguments: dict[str, Any]) -> tuple[Tube, BackboneTable]:
 
 
 def _use_x64(x64: bool) -> None:
-    if x64:
-        jax.config.update("jax_enable_x64", True)
+    """Compute in 64 bits, or not, whatever the environment says."""
+    jax.config.update("jax_enable_x64", x64)
 
 
 def _say(text: str) -> None:

@@ -17,6 +17,7 @@ from jaxtissue.cells import CellGeometry, measure_cells
 from jaxtissue.inputs import as_positions
 from jaxtissue.lines import Lines, Resolution, as_resolution, plan_lines
 from jaxtissue.lowering import options
+from jaxtissue.modes import usual_modes
 from jaxtissue.shortlists import (
     CANDIDATES,
     STOPS,
@@ -34,6 +35,7 @@ CELLS = "cells"
 UNFILLED = 0.02  # of the tube, by which volumes may differ in sum: of lattices by `draft` 0.012 was seen
 
 
+@usual_modes()
 def measure_tissue(
     positions: Positions,
     tube: Tube,
@@ -62,7 +64,7 @@ def measure_tissue(
             f"the cells' volumes add up to {filled:.3f} of the tube's: some cells are narrower than lines are"
             f" apart at {resolution.layers}x{resolution.density:g}; measure more finely"
         )
-        warnings.warn(message, stacklevel=2)
+        warnings.warn(message, stacklevel=3)
     return cells, defect
 
 
@@ -95,6 +97,7 @@ class Gauge:
         self.renewals = 0
         self._kept: Kept | None = None
 
+    @usual_modes()
     def measure(self, positions: Positions, check: bool = True) -> CellGeometry:
         """Sizes of all cells of the tissue where it is now.
 

@@ -12,22 +12,26 @@ from jaxtyping import Array, Float
 
 from jaxtissue.cells import CellGeometry
 from jaxtissue.inputs import X64
+from jaxtissue.modes import usual_modes
 from jaxtissue.tube import Tube
 
 CONSTANTS = ("mean_volume", "modulus", "tension")
 CellEnergy = Callable[[CellGeometry, "Model"], Float[Array, "cells"]]
 
 
+@usual_modes()
 def volume_elasticity(cells: CellGeometry, model: "Model") -> Float[Array, "cells"]:
     """K/2 (Vbar - V_i)^2 of each cell: what it costs not to have the mean volume."""
     return model.modulus / 2 * (model.mean_volume - cells.volume) ** 2
 
 
+@usual_modes()
 def lateral_tension(cells: CellGeometry, model: "Model") -> Float[Array, "cells"]:
     """Lambda A_i of each cell: the tension of its walls with other cells."""
     return model.tension * cells.lateral_area
 
 
+@usual_modes()
 def epithelial_energy(cells: CellGeometry, model: "Model") -> Float[Array, "cells"]:
     """E_i = K/2 (Vbar - V_i)^2 + Lambda A_i, the paper's energy."""
     return volume_elasticity(cells, model) + lateral_tension(cells, model)

@@ -28,6 +28,7 @@ from jaxtissue.changes import (
 from jaxtissue.energy import Model
 from jaxtissue.lines import Lines
 from jaxtissue.lowering import PUT, taken
+from jaxtissue.modes import usual_modes
 from jaxtissue.views import Posts, posts
 
 COARSE = 0.02  # of the longest move
@@ -83,9 +84,10 @@ def warn_of_coarse_places(model: Model, cells: int, dtype: np.dtype) -> None:
     apart, longest = float(np.spacing(dtype.type(model.tube.length))), float(move_bound(model, cells))
     if apart > COARSE * longest:
         told = f"axial places are {apart:.2g} apart in {dtype}, and moves are of {longest:.2g} at most"
-        warnings.warn(f"{told}; use 64 bits (--x64)", stacklevel=3)
+        warnings.warn(f"{told}; use 64 bits (--x64)", stacklevel=4)
 
 
+@usual_modes()
 def sweep(
     draws: Float[Array, "3 n"],
     state: TissueState,

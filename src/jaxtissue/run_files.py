@@ -24,6 +24,7 @@ from jaxtissue.files import (
     write_sealed,
 )
 from jaxtissue.memory import tell_memory
+from jaxtissue.modes import random_key
 from jaxtissue.reading import BackboneTable, read_backbones
 from jaxtissue.settings import FORMAT, Settings, provenance, saved_settings
 from jaxtissue.tables import CONTACT_TABLES
@@ -86,7 +87,7 @@ def initial_backbones(settings: Settings) -> BackboneTable:
     """The backbones that a run begins with, and their names."""
     if settings.backbones:
         return read_backbones(Path(settings.backbones), settings.tube, settings.degrees)
-    key = jax.random.key(settings.seed)
+    key = random_key(settings.seed)
     return BackboneTable(np.asarray(settings.tube.random_positions(key, settings.cells)), None)
 
 

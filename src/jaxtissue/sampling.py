@@ -6,9 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxtissue.modes import usual_modes
 from jaxtissue.tube import Tube
 
 
+@usual_modes()
 def cylindrical_voxels(
     tube: Tube, shape: tuple[int, int, int]
 ) -> tuple[Float[Array, "voxels 3"], Float[Array, "voxels"]]:
@@ -32,6 +34,7 @@ def cylindrical_voxels(
     return points, radius * (2 * math.pi * wall * tube.length / math.prod(shape))
 
 
+@usual_modes()
 def cartesian_voxels(tube: Tube, spacing: float) -> tuple[Float[Array, "voxels 3"], Float[Array, "voxels"]]:
     """Centers and volumes, spacing^3, of the cubic voxels whose center lies in the tissue.
 

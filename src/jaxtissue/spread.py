@@ -10,9 +10,11 @@ from jaxtyping import Array, ArrayLike, Float
 
 from jaxtissue.inputs import as_positions
 from jaxtissue.labels import Lists, batches, hand_down, narrow, stand
+from jaxtissue.modes import usual_modes
 from jaxtissue.tube import Tube
 
 
+@usual_modes()
 def separation(positions: Float[ArrayLike, "n 2"], tube: Tube) -> Float[Array, ""]:
     """Smallest distance between two backbones, infinite for a single one (paper, Definition 1).
 
@@ -49,6 +51,7 @@ def _separation(positions: Float[Array, "n 2"], tube: Tube) -> Float[Array, ""]:
     return lax.while_loop(unfinished, compare, start)[1]
 
 
+@usual_modes()
 def covering_radius(
     positions: Float[ArrayLike, "n 2"], tube: Tube, tolerance: float = 4e-4
 ) -> Float[np.ndarray, ""]:
@@ -85,6 +88,7 @@ def covering_radius(
     return np.asarray(found, jnp.result_type(float))
 
 
+@usual_modes()
 def tightness(positions: Float[ArrayLike, "n 2"], tube: Tube) -> Float[np.ndarray, ""]:
     """The phi of a tight phi-backbone spread, covering radius / separation (paper, Definition 1).
 

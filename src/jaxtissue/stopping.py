@@ -12,7 +12,10 @@ BEING_WRITTEN: set[Path] = set()  # files that are removed where the process end
 
 
 class Stop:
-    """Notes SIGTERM and Ctrl-C, so that a sweep can be finished first; a second one ends at once."""
+    """Notes SIGTERM and Ctrl-C, so that a sweep can be finished first; a second one ends at once.
+
+    A signal that the process was started to ignore, as by `nohup` or in the background, stays ignored.
+    """
 
     noting: ClassVar[bool] = False  # one of these waits for a signal, or has had it
 
@@ -20,7 +23,8 @@ class Stop:
         self.signal: signal.Signals | None = None
 
     def __enter__(self) -> "Stop":
-        noted = (signal.SIGINT, signal.SIGTERM)
+        both = (signal.SIGINT, signal.SIGTERM)
+        noted = [number for number in both if signal.getsignal(number) is not signal.SIG_IGN]
         self._usual = {number: signal.signal(number, self._note) for number in noted}
         Stop.noting = True
         return self

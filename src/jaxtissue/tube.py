@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from numpy.typing import DTypeLike
 
 from jaxtissue.backbones import Backbones
+from jaxtissue.modes import usual_modes
 
 THIN = 0.01  # of the wall, by which rounding of the radii may change it
 
@@ -70,6 +71,7 @@ class Tube(eqx.Module):
         """Area of the basal surface, 2 pi R_b L."""
         return 2 * math.pi * self.basal_radius * self.length
 
+    @usual_modes()
     def embed(self, positions: Float[Array, "n 2"]) -> Backbones:
         """The backbones, as segments, of the given (axial, angle) positions.
 
@@ -83,6 +85,7 @@ class Tube(eqx.Module):
         basal = jnp.stack([axial, self.basal_radius * cosine, self.basal_radius * sine], axis=-1)
         return Backbones(apical, basal)
 
+    @usual_modes()
     def reflect(self, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
         """The positions brought back to 0 <= axial <= L by reflection at the ends, and 0 <= angle < 2 pi.
 
@@ -99,6 +102,7 @@ class Tube(eqx.Module):
         angle = jnp.where(turned >= 2 * math.pi, 0, turned)
         return jnp.stack([axial, angle], axis=-1)
 
+    @usual_modes()
     def random_positions(self, key: PRNGKeyArray, count: int) -> Float[Array, "n 2"]:
         """`count` positions, uniform in the axial position and in the angle (paper, Section 4.2).
 

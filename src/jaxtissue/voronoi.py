@@ -11,12 +11,14 @@ from jaxtyping import Array, ArrayLike, Float, Int, UInt16
 from jaxtissue.backbones import Backbones
 from jaxtissue.inputs import as_positions
 from jaxtissue.labels import label_points
+from jaxtissue.modes import usual_modes
 from jaxtissue.sampling import cartesian_voxels, image_mask
 from jaxtissue.tube import Tube
 
 _UNROLL = 8  # backbones tried per turn of the innermost loop: one per turn takes 4 times as long on a CPU
 
 
+@usual_modes()
 @partial(jax.jit, static_argnames=("count", "block"))
 def nearest_backbones(
     points: Float[Array, "p 3"], backbones: Backbones, count: int = 1, block: int = 16384
@@ -47,6 +49,7 @@ def nearest_backbones(
     return flat[0], jnp.sqrt(flat[1])
 
 
+@usual_modes()
 def label_volumes(
     labels: Int[Array, "p"], weights: Float[Array, "p"], count_cells: int
 ) -> Float[Array, "{count_cells}"]:
@@ -60,6 +63,7 @@ def label_volumes(
     return jnp.zeros((64, count_cells), weights.dtype).at[part, labels].add(weights).sum(axis=0)
 
 
+@usual_modes()
 def label_image(
     positions: Float[ArrayLike, "n 2"], tube: Tube, spacing: float
 ) -> UInt16[np.ndarray, "z y x"]:

@@ -13,6 +13,7 @@ from jaxtissue.anneal import Annealer
 from jaxtissue.backbones import Backbones
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import PRESETS
+from jaxtissue.modes import random_key, usual_modes
 from jaxtissue.records import SweepRecord
 from jaxtissue.sampling import cylindrical_voxels
 from jaxtissue.schedules import constant_schedule
@@ -68,9 +69,10 @@ def anneal_history(annealing: Annealing, seed: int) -> History:
 
 def random_tissue(tube: Tube, cells: int, seed: int) -> Float[Array, "n 2"]:
     """The random (axial, angle) positions that a run with this seed starts from (paper, section 4.2)."""
-    return tube.random_positions(jax.random.key(seed), cells)
+    return tube.random_positions(random_key(seed), cells)
 
 
+@usual_modes()
 def relax_lloyd(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube, iterations: int = 30
 ) -> Float[np.ndarray, "n 2"]:

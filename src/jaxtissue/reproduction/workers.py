@@ -16,6 +16,7 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 from jaxtissue.cluster import use_cores
 from jaxtissue.memory import machine_memory
+from jaxtissue.modes import keep_usual_modes
 
 ROOM = 2**31  # bytes of memory that a process is given
 CONFIG: Any = jax.config  # its settings are not declared
@@ -108,10 +109,12 @@ def _ignoring_interrupts() -> Iterator[None]:
 def _set_up(compiled: str | None, x64: bool) -> None:
     """Make this process a worker."""
     use_cores(1)
+    keep_usual_modes()
     jax.config.update("jax_platforms", "cpu")
     jax.config.update("jax_enable_x64", x64)
     jax.config.update("jax_compilation_cache_dir", compiled)
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it without a word
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it without a word
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
