@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from matplotlib import style
 
 from jaxtissue import io
 from jaxtissue.arguments import TUBE_SIZES, command_parser
@@ -38,6 +39,7 @@ from jaxtissue.tables import (
 )
 from jaxtissue.tube import Tube
 
+CONFIG: Any = jax.config  # its settings are not declared
 EXTRAS = ("tifffile", "skimage", "pyevtk", "pandas", "pyvista", "trimesh")
 
 
@@ -49,10 +51,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         work = {"anneal": anneal, "sweep": sweep, "measure": measure, "compare": compare}
         work |= {"reproduce": reproduce_paper, "info": info}
         warnings.formatwarning = lambda message, *_, **__: f"jaxtissue: warning: {message}\n"
-        if jax.config.jax_enable_x64 and not arguments.get("resume"):  # type: ignore[attr-defined]
+        if CONFIG.jax_enable_x64 and not arguments.get("resume"):
             arguments["x64"] = True  # as JAX_ENABLE_X64 says; a run that is resumed keeps its own
         keep_compiled()
-        with usual_modes():
+        with usual_modes(), style.context("default"):  # whatever the user's matplotlibrc says
             code = work[arguments.pop("command")](arguments)
         sys.stdout.flush()  # or it is only told at the very end that the reader has left
         return code
@@ -63,10 +65,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, 2)
     except OSError as error:
         return _fail(error, 1)
-    except RuntimeError as error:
-        if "backend" not in str(error):  # as JAX says where a platform that it was told of is not there
+    except (RuntimeError, AssertionError):
+        if _has_device():
             raise
-        return _fail(f"JAX does not start ({error}); correct or unset JAX_PLATFORMS", 2)
+        return _fail(f"JAX has no device for JAX_PLATFORMS={CONFIG.jax_platforms}; correct or unset it", 2)
     except MemoryError as error:
         return _fail(f"out of memory ({error}); take fewer cells", 1)
     except KeyboardInterrupt:
@@ -234,6 +236,14 @@ def _read(arguments: dict[str, Any]) -> tuple[Tube, BackboneTable]:
 def _use_x64(x64: bool) -> None:
     """Compute in 64 bits, or not, whatever the environment says."""
     jax.config.update("jax_enable_x64", x64)
+
+
+def _has_device() -> bool:
+    """Whether JAX starts; if not, it says so with one error or another, or only in its log."""
+    try:
+        return bool(jax.devices())
+    except (RuntimeError, AssertionError):
+        return CONFIG.jax_platforms is None
 
 
 def _say(text: str) -> None:

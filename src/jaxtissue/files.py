@@ -130,7 +130,7 @@ def read_sealed(path: Path, remedy: str) -> dict[str, Any]:
 
 
 def _json(values: Mapping[str, Any]) -> str:
-    return json.dumps(_plain(values), indent=2, allow_nan=False, ensure_ascii=False)
+    return json.dumps(_plain(values), indent=2, allow_nan=False)  # ASCII, for names that are not UTF-8
 
 
 def _plain(value: Any) -> Any:

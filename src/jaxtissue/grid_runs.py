@@ -23,13 +23,12 @@ from jaxtissue.files import (
     make_subfolder,
     read_sealed,
     remove_leftovers,
-    replacing,
     write_sealed,
 )
 from jaxtissue.grids import Grid, describe
 from jaxtissue.locks import alone, together
 from jaxtissue.memory import tell_memory
-from jaxtissue.plot import plot_grid
+from jaxtissue.plot import plot_grid, save_figure
 from jaxtissue.records import SweepRecord
 from jaxtissue.settings import FORMAT, Settings, now, other_bits, provenance
 from jaxtissue.stopping import Stop
@@ -229,9 +228,8 @@ def _finish(run: GridRun) -> int:
         manifest = read_sealed(run.folder / "manifest.json", "begin anew with --force")
         if not manifest["finished"]:
             write_sealed(run.folder / "manifest.json", manifest | {"finished": now()})
-        figure, _ = plot_grid(table, [name for name in run.grid.axes if len(run.grid.axes[name]) > 1])
-        with replacing(run.folder / "energy.png", "wb") as file:
-            figure.savefig(file, format="png", dpi=150)
+        varied = [name for name in run.grid.axes if len(run.grid.axes[name]) > 1]
+        save_figure(run.folder / "energy.png", lambda: plot_grid(table, varied))
     print(f"rows             {written} of {len(everyone)}")
     print(f"written to       {run.folder / 'table.csv'}")
     return 0

@@ -1,7 +1,10 @@
 """Figures of a run; each function returns (figure, axes) and leaves matplotlib's global state alone."""
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -13,7 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from jaxtissue.files import replacing
 from jaxtissue.labels import label_points
+from jaxtissue.modes import usual_modes
 from jaxtissue.tube import Tube
 
 # Okabe and Ito's colors, which color-blind readers tell apart.
@@ -30,6 +35,20 @@ class Tissue(NamedTuple):
     title: str
     positions: Float[ArrayLike, "n 2"]
     volume: Float[ArrayLike, "n"]
+
+
+def save_figure(path: Path, draw: Callable[[], tuple[Figure, Any]]) -> None:
+    """Write what `draw` draws as PNG; where that fails leave it out with a warning, as results do without."""
+    image = BytesIO()
+    try:
+        figure, _ = draw()
+        figure.savefig(image, format="png", dpi=150)
+    except Exception as error:
+        path.unlink(missing_ok=True)
+        warnings.warn(f"{path.name} can't be drawn ({error}); it is left out", stacklevel=2)
+        return
+    with replacing(path, "wb") as file:
+        file.write(image.getvalue())
 
 
 def plot_energy(
@@ -139,6 +158,7 @@ def plot_surfaces(tube: Tube, tissues: Sequence[Tissue]) -> tuple[Figure, np.nda
     return figure, axes
 
 
+@usual_modes()
 def label_surface(
     positions: Float[ArrayLike, "n 2"], tube: Tube, surface: str, shape: tuple[int, int]
 ) -> Int[np.ndarray, "axial angular"]:

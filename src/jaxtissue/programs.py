@@ -84,12 +84,19 @@ def keep_compiled() -> None:
 
     Unless JAX was told of a folder (`JAX_COMPILATION_CACHE_DIR`), or to keep nothing
     (`JAX_ENABLE_COMPILATION_CACHE=0`). Where it can't be read or written, JAX warns and compiles. A folder
-    that others can write is not used, with a warning: programs in it could be theirs.
+    that others can write is not used, with a warning: programs in it could be theirs. A user without a
+    home keeps nothing.
     """
-    if not getattr(jax.config, "jax_compilation_cache_dir", None):
-        jax.config.update("jax_compilation_cache_dir", platformdirs.user_cache_dir("jaxtissue"))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
     config: Any = jax.config  # its settings are not declared
+    if not config.jax_compilation_cache_dir:
+        try:
+            usual = Path(platformdirs.user_cache_dir("jaxtissue"))
+        except RuntimeError:  # there is no home; older ones give a path that begins with ~
+            return
+        if not usual.is_absolute():
+            return
+        jax.config.update("jax_compilation_cache_dir", str(usual))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
     folder = Path(config.jax_compilation_cache_dir)
     if not _is_private(folder):
         jax.config.update("jax_compilation_cache_dir", None)

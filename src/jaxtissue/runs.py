@@ -4,13 +4,13 @@ import os
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from jaxtissue import io
@@ -19,11 +19,10 @@ from jaxtissue.diagrams import measure_tissue
 from jaxtissue.files import (
     check_folder,
     open_own,
-    replacing,
 )
 from jaxtissue.lines import PRESETS
 from jaxtissue.locks import alone
-from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes
+from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes, save_figure
 from jaxtissue.records import AcceptanceWatch
 from jaxtissue.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
 from jaxtissue.schedules import has_stalled
@@ -157,12 +156,14 @@ def _finish(run: Run, ended: bool = True) -> None:
         for sweep, cells in ((0, fine[0]), (run.state.sweep, fine[-1]))
     )
     figures = (
-        plot_energy(sweeps, (list(shown), fine_energy), "total, measured with 'fine'"),
-        plot_volumes(*_a_few(list(shown), [cells.volume for cells in fine]), float(model.mean_volume)),
-        plot_surfaces(model.tube, (before, after)),
+        partial(plot_energy, sweeps, (list(shown), fine_energy), "total, measured with 'fine'"),
+        partial(
+            plot_volumes, *_a_few(list(shown), [cells.volume for cells in fine]), float(model.mean_volume)
+        ),
+        partial(plot_surfaces, model.tube, (before, after)),
     )
-    for name, (figure, _) in zip(FIGURES, figures, strict=True):
-        _save_figure(run.folder / name, figure)
+    for name, draw in zip(FIGURES, figures, strict=True):
+        save_figure(run.folder / name, draw)
     energy = {"initial": sweeps["energy"][0], "final": sweeps["energy"][-1]}
     energy |= {"initial_fine": fine_energy[0], "final_fine": fine_energy[-1]}
     news = {"energy": energy, "final": {"sweep": run.state.sweep} | summary}
@@ -174,11 +175,6 @@ def _a_few(sweeps: list[int], volumes: list[Array]) -> tuple[list[int], list[Arr
     """At most seven of the kept sweeps, the first and the last among them."""
     picked = np.unique(np.linspace(0, len(sweeps) - 1, min(7, len(sweeps))).round().astype(int))
     return [sweeps[i] for i in picked], [volumes[i] for i in picked]
-
-
-def _save_figure(path: Path, figure: Figure) -> None:
-    with replacing(path, "wb") as file:
-        figure.savefig(file, format="png", dpi=150)
 
 
 def _print_result(run: Run) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxtissue import io
 from jaxtissue.files import is_empty, make_folder, replacing, write_json
+from jaxtissue.plot import save_figure
 from jaxtissue.reproduction.claims import Claim
 from jaxtissue.reproduction.experiments import FORMAT, QUICK, Plan, Store, Table
 from jaxtissue.reproduction.items import ITEMS, Product
@@ -108,10 +109,9 @@ def _write(folder: Path, item: str, product: Product) -> list[str]:
     for ending, table in product.tables.items():
         files.append(f"{item}{ending}.csv")
         io.write_table(folder / files[-1], table)
-    files.append(f"{item}.png")
-    with replacing(folder / files[-1], "wb") as file:
-        product.figure.savefig(file, format="png", dpi=150)
-    return files
+    picture = folder / f"{item}.png"
+    save_figure(picture, lambda: (product.figure, None))
+    return [*files, picture.name] if picture.is_file() else files
 
 
 def _report(folder: Path, plan: Plan, manifest: dict[str, Any]) -> None:
