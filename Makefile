@@ -2,8 +2,10 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+LOWEST := import tomllib; needs = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
+    print(*(need.replace(">=", "==") for need in needs), sep="\n")
 
-.PHONY: setup demo test notebooks lint clean
+.PHONY: setup demo test notebooks lint smoke clean
 
 setup: $(STAMP)
 
@@ -30,6 +32,24 @@ lint: setup
 	$(BIN)/ruff format --check
 	$(BIN)/pyright
 
+# the newest and the lowest versions that pyproject.toml allows compute what the pinned ones do
+smoke: setup .venv-newest/.installed .venv-lowest/.installed
+	$(BIN)/python tests/smoke.py .venv/smoke.json
+	.venv-newest/bin/python tests/smoke.py .venv-newest/smoke.json .venv/smoke.json & newest=$$!; \
+	.venv-lowest/bin/python tests/smoke.py .venv-lowest/smoke.json .venv/smoke.json; lowest=$$?; \
+	wait $$newest && exit $$lowest
+
+.venv-newest/.installed: pyproject.toml
+	python=$$(.ci/find-python 14 13 12 11) && $$python -m venv --clear .venv-newest
+	.venv-newest/bin/python -m pip install --quiet --disable-pip-version-check -e .
+	@touch $@
+
+.venv-lowest/.installed: pyproject.toml
+	python=$$(.ci/find-python 11) && $$python -m venv --clear .venv-lowest
+	.venv-lowest/bin/python -c '$(LOWEST)' > .venv-lowest/constraints.txt
+	.venv-lowest/bin/python -m pip install --quiet --disable-pip-version-check -c .venv-lowest/constraints.txt -e .
+	@touch $@
+
 clean:
-	rm -rf .venv build dist runs .pytest_cache .ruff_cache .hypothesis src/*.egg-info
+	rm -rf .venv .venv-newest .venv-lowest build dist runs .pytest_cache .ruff_cache .hypothesis src/*.egg-info
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
