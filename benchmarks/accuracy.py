@@ -30,11 +30,11 @@ def measure_case(path: Path) -> dict:
     with jax.enable_x64(path.stem == "near_coincident"):  # its separation is below what float32 resolves
         positions = tube.reflect(jnp.asarray(place, float))
         for name, resolution in jt.PRESETS.items():
-            cells, defect = jt.measure_tissue(positions, tube, resolution)
+            cells, defect = jt.measure_tissue(positions, tube, resolution, refine=False)
             seconds = []
             for _ in range(5):
                 begin = time.perf_counter()
-                jax.block_until_ready(jt.measure_tissue(positions, tube, resolution))
+                jax.block_until_ready(jt.measure_tissue(positions, tube, resolution, refine=False))
                 seconds.append(time.perf_counter() - begin)
             rows[name] = {size: common.rms(getattr(cells, size), known[key]) for size, key in SIZES.items()}
             rows[name] |= {

@@ -29,7 +29,7 @@ def our_diagram(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> dict[s
     """A diagram on the lists a gauge keeps, and one on complete lists found anew: seconds, and sizes."""
     seconds, sizes = [], None
     begin = time.perf_counter()
-    jax.block_until_ready(jt.measure_tissue(place, tube, size, surfaces=False))
+    jax.block_until_ready(jt.measure_tissue(place, tube, size, surfaces=False, refine=False))
     scratch = time.perf_counter() - begin
     gauge = jt.Gauge(tube, size)
     gauge.measure(place)
@@ -62,7 +62,9 @@ def our_sweeps(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> dict[st
 
 def fine_energy(place: Any, tube: jt.Tube) -> float:
     """The tissue's energy by `fine`."""
-    cells, _ = jt.measure_tissue(jnp.asarray(place, jnp.result_type(float)), tube, jt.PRESETS["fine"])
+    cells, _ = jt.measure_tissue(
+        jnp.asarray(place, jnp.result_type(float)), tube, jt.PRESETS["fine"], refine=False
+    )
     return float(np.sum(jt.epithelial_energy(cells, jt.tube_model(tube, len(place))), dtype=float))
 
 

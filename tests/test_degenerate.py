@@ -18,7 +18,7 @@ from jaxtissue.statistics import Connectivity, find_connectivity
 from jaxtissue.transitions import find_forms, find_transitions
 from jaxtissue.tube import Tube
 
-AWKWARD = np.load(Path(__file__).parent / "data" / "awkward.npz")
+AWKWARD = np.load(Path(__file__).parent / "data" / "degenerate" / "awkward.npz")
 
 
 def awkward(number: int) -> tuple[np.ndarray, Tube]:

@@ -177,13 +177,13 @@ def test_large_angles_lose_no_digits():
 def test_backbones_too_near_for_float32():
     others = [[5, 1], [9, 3], [14, 6], [1, 1], [18, 2]]
     with pytest.raises(ValueError, match=r"same backbone, .*--x64"):
-        jt.measure_tissue([*others, [5, 1 + 1e-7]], TUBE)
+        jt.measure_tissue([*others, [5, 1 + 1e-7]], TUBE, refine=False)
     near = np.array([*others, [5 + 1e-6, 1 + 1e-6]])
     with pytest.warns(UserWarning, match=r"backbones 0 and 5 are too near .* float32: .*--x64"):
-        jt.measure_tissue(near, TUBE, "draft", surfaces=False)
+        jt.measure_tissue(near, TUBE, "draft", surfaces=False, refine=False)
     with jax.enable_x64(True), warnings.catch_warnings():
         warnings.simplefilter("error")
-        cells, _ = jt.measure_tissue(near, TUBE, "draft", surfaces=False)
+        cells, _ = jt.measure_tissue(near, TUBE, "draft", surfaces=False, refine=False)
         as_positions([*others, [5, 1 + 1e-7]], TUBE)
     exact = jt.exact_cells(near, TUBE, 100)
     np.testing.assert_allclose(cells.volume, exact.volume, atol=0.01 * exact.volume.mean())  # `draft`
@@ -272,7 +272,9 @@ def test_resolutions_are_given_as_any_of_these(given):
 def test_presets_are_taken_by_name():
     tube, place = jt.Tube(20, 1, 3), FLOATS
     sizes = [jt.PRESETS["draft"], "draft", "4x4"]
-    same, *others = (jt.measure_tissue(place, tube, size, surfaces=False)[0].volume for size in sizes)
+    same, *others = (
+        jt.measure_tissue(place, tube, size, surfaces=False, refine=False)[0].volume for size in sizes
+    )
     for other in others:
         np.testing.assert_array_equal(other, same)
     assert jt.Gauge(tube, "fine").resolution == jt.PRESETS["fine"]

@@ -17,6 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy import sparse
 
 from jaxtissue.cells import BLOCK
+from jaxtissue.lines import REACH
 from jaxtissue.lowering import options, settled
 from jaxtissue.modes import usual_modes
 from jaxtissue.tube import Tube
@@ -42,14 +43,21 @@ def find_candidates(
     return complete_lists(positions, tube, margin)[0]
 
 
+class Check(NamedTuple):
+    """What the lines of `check_angles` show of candidate lists, and of the cells."""
+
+    defect: Any  # the lists' `tiling_defect`
+    is_far: Any  # [n], it has a part farther round than `far_angle`
+
+
 def complete_lists(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0
-) -> tuple[Int[np.ndarray, "n 2 side_candidates"], float]:
-    """The same with their `tiling_defect`."""
+) -> tuple[Int[np.ndarray, "n 2 side_candidates"], Check]:
+    """The same with the `check_lists` of them."""
     for sides, has_all in candidate_lists(positions, tube, margin):
-        defect = find_defect(positions, tube, sides)
-        if has_all or defect < TILES:
-            return sides, defect
+        check = find_check(positions, tube, sides)
+        if has_all or check.defect < TILES:
+            return sides, check
     raise AssertionError("lists that have all are complete")
 
 
@@ -57,12 +65,20 @@ def find_defect(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube, sides: Int[np.ndarray, "n 2 candidates"]
 ) -> float:
     """`tiling_defect` of arrays at hand, by a program that is compiled soon."""
-    return float(_checking()(positions, tube, sides, check_angles(tube, len(positions))))
+    return float(find_check(positions, tube, sides).defect)
+
+
+def find_check(
+    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, sides: Int[np.ndarray, "n 2 candidates"]
+) -> Check:
+    """`check_lists` of arrays at hand, by a program that is compiled soon."""
+    found = _checking()(positions, tube, sides, check_angles(tube, len(positions)))
+    return Check(*map(np.asarray, found))
 
 
 @functools.cache
-def _checking() -> Callable[..., Array]:
-    return jax.jit(tiling_defect, compiler_options=options(light=True))
+def _checking() -> Callable[..., Check]:
+    return jax.jit(check_lists, compiler_options=options(light=True))
 
 
 class Attempt(NamedTuple):
@@ -241,6 +257,16 @@ def tiling_defect(
     intervals tile each of them exactly unless a list lacks a rival there. What is lacking only between them
     stays unseen: a small part of a cell.
     """
+    return check_lists(positions, tube, sides, angles).defect
+
+
+def check_lists(
+    positions: Float[Array | np.ndarray, "n 2"],
+    tube: Tube,
+    sides: Int[Array | np.ndarray, "n 2 candidates"],
+    angles: Float[Array | np.ndarray, "layers lines"],
+) -> Check:
+    """The `tiling_defect` of lists, and which cells have parts far from their own backbones."""
     n, dtype = len(positions), positions.dtype
     layers, count = angles.shape
     share, angle = jnp.linspace(0, 1, layers, dtype=dtype), jnp.asarray(angles, dtype).ravel()[:, None]
@@ -248,8 +274,9 @@ def tiling_defect(
     turn = jax.lax.complex(jnp.cos(angle), jnp.sin(angle))
     place, lists = posts(positions), jnp.asarray(sides)
     width = min(n, BLOCK)
+    near = radius * jnp.cos(jnp.minimum(far_angle(tube, n, radius), math.pi))
 
-    def spare(start: Array) -> Float[Array, "lines"]:
+    def fill(start: Array) -> tuple[Float[Array, "lines"], Bool[Array, "width"]]:
         """What a block of cells fills of each line beyond its share of the cells: sums that stay small."""
         which = start + jnp.arange(width)
         cells = jnp.minimum(which, n - 1)
@@ -259,7 +286,14 @@ def tiling_defect(
         rivals = settled(lambda: see_rivals(own, others, numbers < cells, tube), truth)
         grid = settled(lambda: see_turned(radius, turn, own), truth)
         length = least_reach(grid, rivals, ends, tube, truth).sum(axis=1)
-        return jnp.where(which < n, jnp.maximum(length, 0) - tube.length / n, 0).sum(axis=1)
+        is_far = ((length > 0) & (grid.z < near)).any(axis=0)
+        spare = jnp.where(which < n, jnp.maximum(length, 0) - tube.length / n, 0)
+        return spare.sum(axis=1), is_far
 
-    blocks = jax.lax.map(spare, width * jnp.arange(-(-n // width)))
-    return jnp.abs(blocks.sum(axis=0)).max() / tube.length
+    blocks, is_far = jax.lax.map(fill, width * jnp.arange(-(-n // width)))
+    return Check(jnp.abs(blocks.sum(axis=0)).max() / tube.length, is_far.ravel()[:n])
+
+
+def far_angle(tube: Tube, cells: int, radius: Array) -> Array:
+    """The angle from a backbone that the first window of lines is sure to cover at a radius."""
+    return 0.95 * REACH * jnp.sqrt(2 * math.pi * tube.length / (cells * radius))

@@ -143,7 +143,9 @@ def measure(arguments: dict[str, Any]) -> int:
     _say(f"measuring {len(place)} cells")
     model = tube_model(tube, len(place), arguments["modulus"], arguments["tension"])
     begun = time.perf_counter()
-    columns, summary = tabulate_cells(place, model, arguments["resolution"], backbones.names, connectivity)
+    columns, summary = tabulate_cells(
+        place, model, arguments["resolution"], backbones.names, connectivity, arguments["tolerance"]
+    )
     summary["seconds"] = time.perf_counter() - begun
     make_folder(folder, CONTACT_TABLES)
     io.write_table(folder / "cells.csv", columns)

@@ -3,21 +3,22 @@
 import functools
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
+from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
 from jaxtissue.candidates import TILES, complete_lists, find_defect
-from jaxtissue.cells import CellGeometry, measure_cells
+from jaxtissue.cells import CellGeometry
 from jaxtissue.inputs import as_positions
 from jaxtissue.lines import Lines, Resolution, as_resolution, plan_lines
 from jaxtissue.lowering import options
 from jaxtissue.modes import usual_modes
+from jaxtissue.refinement import FEW_CELLS, LIMITS, SUMS, Tissue, measure_refined, measuring, mesh
 from jaxtissue.shortlists import (
     CANDIDATES,
     STOPS,
@@ -31,8 +32,6 @@ from jaxtissue.shortlists import (
 from jaxtissue.tube import Tube
 
 Positions = Float[Array | np.ndarray, "n 2"]
-CELLS = "cells"
-UNFILLED = 0.02  # of the tube, by which volumes may differ in sum: of lattices by `draft` 0.012 was seen
 
 
 @usual_modes()
@@ -41,31 +40,70 @@ def measure_tissue(
     tube: Tube,
     resolution: Resolution | str = "standard",
     surfaces: bool = True,
+    tolerance: float | None = None,
+    refine: bool = True,
 ) -> tuple[CellGeometry, float]:
-    """Sizes of every cell of a tissue, and the defect of an exact sum over all cells.
+    """Sizes of every cell of a tissue with bounds of their errors, and the defect of an exact sum over cells.
 
     The defect is the largest relative error of the cells' lengths summed along a line, `tiling_defect`: 0 to
-    rounding unless a candidate list overflowed. Lists are grown until nothing overflows, so this takes
+    rounding, as lists are grown until it is or they hold all cells, and 0 for up to 64 cells. So this takes
     concrete arrays; inside `jit` call `measure_cells`. Positions as (axial, angle), [n, 2], in any form that
     `as_positions` takes; a resolution as `as_resolution` does. Without `surfaces`, areas and perimeters on
     them are left out.
 
-    Raises `ValueError` for positions that `as_positions` refuses. Warns where the volumes do not
-    add up to the tube's: then some cells are narrower than lines are apart, as those of many backbones that
-    stand almost level.
+    `volume_error` and `lateral_area_error` bound the errors of at least 95 % of cells. A cell whose error may
+    be above 1 % of the mean volume or 5 % of the mean lateral area is measured adaptively; so is every cell
+    of a tissue of up to 64, whatever the resolution, and with a `tolerance`, a fraction of both means, every
+    cell until its errors are below it: some 30 ms a cell. Without `refine` all cells are measured by the rule
+    of the resolution alone, and there are no errors and no warnings.
+
+    Raises `ValueError` for positions that `as_positions` refuses, and for a tolerance that is not positive.
+    Warns, naming the worst cells, where errors above the limits are left, and where the volumes do not add up
+    to the tube's.
     """
-    positions, resolution = as_positions(positions, tube), as_resolution(resolution)
-    sides, defect = complete_lists(positions, tube)
-    lines = plan_lines(tube, len(positions), resolution, surfaces=surfaces)
-    cells = _measure(positions, jax.tree.map(np.asarray, (tube, lines, sides)))
-    filled = float(np.asarray(cells.volume, float).sum()) / float(tube.volume)
-    if abs(filled - 1) > UNFILLED:
-        message = (
-            f"the cells' volumes add up to {filled:.3f} of the tube's: some cells are narrower than lines are"
-            f" apart at {resolution.layers}x{resolution.density:g}; measure more finely"
-        )
+    if tolerance is not None and not tolerance > 0:
+        raise ValueError(f"tolerance={tolerance} is not a positive fraction of the mean cell; try 0.001")
+    given, resolution = as_positions(positions, tube, float), as_resolution(resolution)
+    n = len(given)
+    if n <= FEW_CELLS and refine:  # all are candidates of all, and no rule is compiled
+        place = given.astype(jnp.result_type(float))
+        sides, defect, is_far = np.empty((n, 2, 0), np.int32), 0.0, np.ones(n, bool)
+    else:
+        place = as_positions(positions, tube, sizes=not refine)
+        sides, (defect, is_far) = complete_lists(place, tube)
+    if not refine:
+        lines = plan_lines(tube, n, resolution, surfaces=surfaces)
+        return _measure(place, jax.tree.map(np.asarray, (tube, lines, sides))), float(defect)
+    tissue = Tissue(place, given, tube, sides, is_far)
+    limits = (min(tolerance, LIMITS[0]), min(tolerance, LIMITS[1])) if tolerance else LIMITS
+    cells = measure_refined(tissue, resolution, surfaces, limits)
+    for message in doubts(cells, tube, limits):
         warnings.warn(message, stacklevel=3)
-    return cells, defect
+    return cells, float(defect)
+
+
+def doubts(cells: CellGeometry, tube: Tube, limits: tuple[float, float]) -> Iterator[str]:
+    """What a user should know before trusting the sizes: nothing where their errors are below the limits.
+
+    The limits are fractions of the mean volume and of the mean lateral area.
+    """
+    for name, limit in zip(("volume", "lateral_area"), limits, strict=True):
+        size = np.asarray(getattr(cells, name), float)
+        share = np.asarray(getattr(cells, f"{name}_error"), float) / max(size.mean(), 1e-300)
+        over = np.flatnonzero(~(share <= limit))
+        if len(over) and len(size) > 1:
+            worst = over[np.argsort(-np.nan_to_num(share[over], nan=np.inf))[:5]]
+            listed = ", ".join(f"{cell} ({100 * share[cell]:.2g} %)" for cell in worst)
+            label = name.replace("_", " ")
+            yield (
+                f"the {label} of {len(over)} of {len(size)} cells may be off by more than {100 * limit:g} %"
+                f" of the mean: cells {listed}; use 64 bits, or move backbones that nearly coincide apart"
+            )
+    total, error = (np.asarray(c, float).sum() for c in (cells.volume, cells.volume_error))
+    lost = total - float(tube.volume)
+    if not abs(lost) <= error + SUMS * float(tube.volume) / len(cells.volume):
+        share = lost / float(tube.volume)
+        yield f"the cells' volumes add up to {1 + share:.6f} of the tube's: some lack a part, or overlap"
 
 
 class Kept(NamedTuple):
@@ -87,7 +125,7 @@ class Gauge:
     >>> positions = tube.random_positions(jax.random.key(0), 100)
     >>> gauge = Gauge(tube, "draft")
     >>> first = gauge.measure(positions)
-    >>> turned = gauge.measure(positions + jnp.array([0, 0.01]))
+    >>> turned = gauge.measure(positions + np.array([0, 0.01], np.float32))
     >>> gauge.renewals, bool(abs(turned.volume - first.volume).max() < 1e-3)
     (1, True)
     """
@@ -135,42 +173,17 @@ class Gauge:
             count = min(2 * count, sides.shape[2])
             few = nearest_sides(sides, clear, count)
         self.renewals += 1
-        everywhere = NamedSharding(_mesh(tuple(jax.local_devices())), PartitionSpec())
+        everywhere = NamedSharding(mesh(tuple(jax.local_devices())), PartitionSpec())
         self._kept = Kept(few, jax.device_put((tube, lines, few), everywhere))
         return self._kept
 
 
 def _measure(positions: Positions, rest: tuple[Tube, Lines, Array | np.ndarray]) -> CellGeometry:
     """Sizes of all cells, these shared out among the devices of this process."""
-    return _measuring(tuple(jax.local_devices()))(np.asarray(positions), *rest)
-
-
-@functools.cache
-def _measuring(devices: tuple[Any, ...]) -> Callable[..., CellGeometry]:
-    """The program that measures all cells on some devices, an equal share on each."""
-
-    def share(
-        cells: Int[Array, "share"], positions: Array, tube: Tube, lines: Lines, sides: Array
-    ) -> CellGeometry:
-        return measure_cells(positions, tube, lines, sides, cells)[0]
-
-    def measure_shares(positions: Array, tube: Tube, lines: Lines, sides: Array) -> CellGeometry:
-        n, count = len(positions), len(devices)
-        cells = jnp.minimum(jnp.arange(-(-n // count) * count), n - 1)  # the last ones may be one cell
-        one, all_of = PartitionSpec(CELLS), PartitionSpec()
-        specs = (one, *4 * [all_of])
-        shared = jax.shard_map(share, mesh=_mesh(devices), in_specs=specs, out_specs=one, check_vma=False)
-        return jax.tree.map(lambda column: column[:n], shared(cells, positions, tube, lines, sides))
-
-    def measure_all(*arguments: Any) -> CellGeometry:
-        return measure_cells(*arguments)[0]
-
-    return jax.jit(measure_shares if len(devices) > 1 else measure_all, compiler_options=options())
-
-
-@functools.cache
-def _mesh(devices: tuple[Any, ...]) -> Mesh:
-    return jax.make_mesh((len(devices),), (CELLS,), (AxisType.Auto,), devices=devices)
+    devices, n = tuple(jax.local_devices()), len(positions)
+    cells = np.minimum(np.arange(-(-n // len(devices)) * len(devices)), n - 1)  # the last may be one
+    found, _ = measuring(devices)(cells.astype(np.int32), np.asarray(positions), *rest)
+    return jax.tree.map(lambda column: column[:n], found)
 
 
 @functools.cache

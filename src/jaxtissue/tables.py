@@ -25,6 +25,7 @@ from jaxtissue.tube import Tube
 
 Result = TypeVar("Result")
 _SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimeter", "basal_perimeter")
+_ERRORS = ("volume_error", "lateral_area_error")
 CONTACT_TABLES = ("contacts.csv", "transitions.csv", "graph.graphml")
 
 
@@ -34,20 +35,23 @@ def tabulate_cells(
     resolution: Resolution | str,
     names: Sequence[str] | None = None,
     connectivity: Connectivity | None = None,
+    tolerance: float | None = None,
 ) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """One row per cell, and the figures of the whole tissue; lengths, areas, volumes in units of the tube's.
 
     The summary's separation of a single cell is infinite; its `overflow` is the relative error of an exact
-    tiling sum, 0 where every cell lies within the lines it was measured on. Connectivity adds its columns
-    and the exact `is_end`; without it, that is what the lines see.
+    tiling sum, 0 where every cell lies within the lines it was measured on; its `largest_volume_error` and
+    `largest_lateral_area_error` are fractions of the mean cell, as the `tolerance` is. Connectivity adds its
+    columns and the exact `is_end`; without it, that is what the lines see.
     """
     axial, angle = np.asarray(positions).T
     positions = model.tube.reflect(jnp.asarray(positions))
-    cells, overflow = measure_tissue(positions, model.tube, resolution)
+    place = np.stack([axial, angle], axis=-1)
+    cells, overflow = measure_tissue(place, model.tube, resolution, tolerance=tolerance)
     energy = np.asarray(cell_energies(cells, model))
     require_finite(energy, model)
     columns = {"cell": np.arange(len(axial)), "axial": axial, "angle": angle}
-    columns |= {name: np.asarray(getattr(cells, name)) for name in _SIZES}
+    columns |= {name: np.asarray(getattr(cells, name)) for name in (*_SIZES, *_ERRORS)}
     columns |= {"energy": energy, "is_end": np.asarray(cells.touches_end)}
     if connectivity is not None:
         columns |= {"is_end": connectivity.is_end} | tabulate_connectivity(connectivity)
@@ -62,6 +66,10 @@ def tabulate_cells(
         "tightness": covering / apart,
         "overflow": float(overflow),
     }
+    # as fractions of the mean cell
+    for size, error in zip(_SIZES, _ERRORS, strict=False):
+        mean = columns[size].mean(dtype=float)
+        summary[f"largest_{error}"] = float(columns[error].max() / mean) if mean > 0 else 0.0
     return columns, summary
 
 
@@ -110,8 +118,8 @@ def compare_presets(
     exact, exact_seconds = _timed(lambda: exact_cells(np.asarray(positions), tube, samples))
     positions, rows = tube.reflect(jnp.asarray(positions)), []
     for name, resolution in PRESETS.items():
-        jax.block_until_ready(measure_tissue(positions, tube, resolution))
-        (cells, _), seconds = _timed(lambda at=resolution: measure_tissue(positions, tube, at))
+        jax.block_until_ready(measure_tissue(positions, tube, resolution, refine=False))
+        (cells, _), seconds = _timed(lambda at=resolution: measure_tissue(positions, tube, at, refine=False))
         volume = _relative(cells.volume, exact.volume)
         area = _relative(cells.lateral_area, exact.lateral_area)
         errors = [how for error in (volume, area) for how in (math.sqrt((error**2).mean()), abs(error).max())]
