@@ -515,3 +515,16 @@ def test_what_is_compiled_is_kept_for_the_next_command(told: bool, tmp_path):
     assert run.returncode == 0
     kept = {path.relative_to(tmp_path).parts[0] for path in tmp_path.rglob("jit_measure_all-*")}
     assert kept == {"told" if told else "user"}
+
+
+def test_measure_warns_of_places_too_coarse_for_32_bits(tmp_path, recwarn):
+    """At 1e6 along the axis float32 is 0.06 apart, where 20 backbones stand 0.9 apart at R_a = 2e-6."""
+    table = tmp_path / "far.csv"
+    table.write_text("axial,angle\n" + "".join(f"{5e4 * k + 1},{0.3 * k}\n" for k in range(20)))
+    size = ["--length", "1e6", "--apical-radius", "2e-6", "--basal-radius", "10", "--no-contacts"]
+    for more, warned in ([], True), (["--x64"], False):
+        out = tmp_path / f"out{warned}"
+        assert main(["measure", str(table), "--out", str(out), *size, *more]) == 0
+        told = [str(warning.message) for warning in recwarn.list]
+        assert any("axial places are 0.062 apart in float32" in text for text in told) == warned
+        recwarn.clear()

@@ -7,9 +7,9 @@ import pytest
 
 import jaxtissue
 
-TISSUE = ["modes", "backbones", "tube", "inputs", "sampling", "lines", "labels", "voronoi", "spread"]
+TISSUE = ["cores", "modes", "backbones", "tube", "inputs", "sampling", "lines", "labels", "voronoi", "spread"]
 TISSUE += ["lowering", "views", "walls", "cells", "candidates", "shortlists", "sections", "adaptive"]
-TISSUE += ["refinement", "diagrams", "exact"]
+TISSUE += ["refinement", "diagrams", "moments", "exact"]
 CONTACTS = ["leads", "fronts", "seeds", "edges", "rims", "contacts", "transitions", "statistics", "laws"]
 MOVES = ["energy", "coloring", "changes", "metropolis", "spans", "rounds", "records", "programs"]
 MOVES += ["schedules", "surveys", "anneal", "memory"]

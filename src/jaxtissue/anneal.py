@@ -104,6 +104,12 @@ class Annealer:
         """The row of a state as it is, such as the initial one."""
         return record_together([self], [state])[0]
 
+    def measure(self, positions: Float[np.ndarray, "n 2"]) -> CellGeometry:
+        """Volumes and lateral areas of the cells of a state, as sweeps measure them."""
+        last = AnnealState(len(self.temperatures), positions)  # no sweep after it is compiled ahead
+        (measured,) = run_together([self._measure(last)])
+        return CellGeometry(measured.tissue.volume, measured.tissue.lateral_area)
+
     def advance(self, state: AnnealState) -> Span:
         """The sweeps up to the next at which lists are renewed, or to the schedule's last.
 

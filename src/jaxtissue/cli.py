@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from matplotlib import style
 
 from jaxtissue import io
@@ -21,6 +22,7 @@ from jaxtissue.files import check_folder, make_folder, write_json
 from jaxtissue.grid_runs import check_grid_folder, run_grid
 from jaxtissue.grids import AXES, Grid
 from jaxtissue.locks import alone
+from jaxtissue.metropolis import warn_of_coarse_places
 from jaxtissue.modes import usual_modes
 from jaxtissue.programs import keep_compiled
 from jaxtissue.reading import BackboneTable, read_backbones
@@ -142,6 +144,7 @@ def measure(arguments: dict[str, Any]) -> int:
         tracing = time.perf_counter() - begun
     _say(f"measuring {len(place)} cells")
     model = tube_model(tube, len(place), arguments["modulus"], arguments["tension"])
+    warn_of_coarse_places(model, len(place), np.dtype(jnp.result_type(float)))
     begun = time.perf_counter()
     columns, summary = tabulate_cells(
         place, model, arguments["resolution"], backbones.names, connectivity, arguments["tolerance"]

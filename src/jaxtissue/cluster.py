@@ -8,6 +8,8 @@ from typing import TypeVar
 import jax
 from jax.experimental import multihost_utils
 
+from jaxtissue.cores import usable_cores
+
 T = TypeVar("T")
 
 
@@ -63,7 +65,7 @@ def use_cores(most: int) -> None:
     many there are, or JAX has computed anything yet.
     """
     os.environ.setdefault("NPROC", "1")  # threads of XLA, which reads it when it starts
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = usable_cores()
     forced = "device_count" in os.environ.get("XLA_FLAGS", "")
     if forced or getattr(jax.config, "jax_num_cpu_devices", -1) > 0:
         return

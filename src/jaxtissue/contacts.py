@@ -60,14 +60,19 @@ class Faces(NamedTuple):
 
 
 def find_contacts(
-    positions: Float[ArrayLike, "n 2"], tube: Tube, threshold: float = 0.0, edges: EdgeGraph | None = None
+    positions: Float[ArrayLike, "n 2"],
+    tube: Tube,
+    threshold: float = 0.0,
+    edges: EdgeGraph | None = None,
+    faces: Faces | None = None,
 ) -> Contacts:
     """All pairs of cells with a common wall: its area, edges on the surfaces, kind and pieces.
 
     Areas are integrals round the rims of the walls, right to some 1e-6 of the mean wall. Walls below
     `threshold`, a fraction of the mean wall, are left out, and so are those without a width, between cells
-    that meet in a line, as on a lattice. Positions as (axial, angle), [n, 2]; `edges` spares tracing them
-    anew. Raises `ValueError` for a threshold that is negative or not a number. Paper, section 4.3.
+    that meet in a line, as on a lattice. Positions as (axial, angle), [n, 2]; `edges` and their `faces` spare
+    tracing and measuring them anew. Raises `ValueError` for a threshold that is negative or not a number.
+    Paper, section 4.3.
 
     >>> contacts = find_contacts([[2, 0], [3, 0], [3, 3.1]], Tube(5, 1, 2))
     >>> contacts.pairs.tolist(), contacts.kind.tolist()
@@ -77,7 +82,7 @@ def find_contacts(
         raise ValueError(f"threshold={threshold}; give a fraction of the mean wall, 0 or more")
     positions = as_positions(positions, tube, np.float64)
     graph = trace_edges(positions, tube) if edges is None else edges
-    faces = find_faces(graph, Leads(positions, tube))
+    faces = find_faces(graph, Leads(positions, tube)) if faces is None else faces
     bound = graph.edge_labels[faces.edge, 2] - graph.cells
     count, length = len(faces.labels), faces.edge_length[faces.edge]
     apical, basal = (np.bincount(faces.face, length * (bound == surface), count) for surface in (0, 1))

@@ -3,28 +3,22 @@
 Each backbone is sampled at equally spaced points, both ends included. The Voronoi facets between samples of
 different backbones tile the walls of the cells; they are clipped in closed form. Slow and accurate: for tests
 and for checking the fast measures, not for dynamics.
-
-A facet with unit normal n = (n_x, n_r m), m a unit vector across the axis, has the coordinates
-u = p . (axis x m) and v = n_r x - n_x w, with w = p . m. On it x and w depend on v alone, so a cylinder and
-the end planes confine u to [-h, h], h = sqrt(R^2 - w^2), and v to an interval. An integral over the clipped
-facet is then a sum over its edges, int int g du dv = sum of int (int g du from 0 to clamp(u, -h, h)) dv, well
-conditioned for every normal.
 """
 
 from itertools import chain
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree, Voronoi
 
 from jaxtissue.inputs import as_positions
+from jaxtissue.moments import Clip, Edges, at, clipped_moments, straight_moments, take
 from jaxtissue.tube import Tube
 
 LONGEST = 1e4  # basal radii
 UNFILLED = 1e-6  # of the tube, by which volumes may differ in sum
-_Fields = TypeVar("_Fields", "_Planes", "_Edges")
 
 
 class ExactDiagram(NamedTuple):
@@ -49,15 +43,6 @@ class _Planes(NamedTuple):
     offset: Float64[np.ndarray, " f"]  # n . p for every p in the plane
 
 
-class _Edges(NamedTuple):
-    """Directed segments by the coordinates of their two ends, see the top of the file."""
-
-    u: Float64[np.ndarray, "2 e"]
-    v: Float64[np.ndarray, "2 e"]
-    w: Float64[np.ndarray, "2 e"]
-    x: Float64[np.ndarray, "2 e"]
-
-
 class _Facets(NamedTuple):
     """Voronoi facets between cells a < b, n pointing from a to b; a ghost has the number of cells."""
 
@@ -65,14 +50,7 @@ class _Facets(NamedTuple):
     planes: _Planes
     first: Int64[np.ndarray, " f"]  # the facet's first edge
     facet: Int64[np.ndarray, " e"]  # the edge's facet
-    edges: _Edges  # counterclockwise around n
-
-
-class _Clip(NamedTuple):
-    """The solid cylinder r < radius, |x| < half."""
-
-    radius: float
-    half: float
+    edges: Edges  # counterclockwise around n
 
 
 def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDiagram:
@@ -101,7 +79,7 @@ def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDia
     positions = as_positions(positions, tube, np.float64)
     backbones = _backbones(positions, half, apical, basal)
     facets = _dual_facets(backbones, half, samples)
-    inner, outer = _Clip(apical, half), _Clip(basal, half)
+    inner, outer = Clip(apical, half), Clip(basal, half)
     moments = _facet_moments(facets, outer) - _facet_moments(facets, inner)
     left, right = (_patches_at(end, facets, outer) - _patches_at(end, facets, inner) for end in (-half, half))
     n_x, n_r = facets.planes.tilt
@@ -122,7 +100,7 @@ def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDia
     keys, wall = np.unique(a[real] * n + b[real], return_inverse=True)
     pairs = np.stack(np.divmod(keys, n), axis=1)
     wall_area, lateral_area = np.zeros(len(keys)), np.zeros(n)
-    moments, planes = moments[:, real], _take(facets.planes, real)
+    moments, planes = moments[:, real], take(facets.planes, real)
     np.add.at(wall_area, wall, moments[0] * _cosine(planes, facets.cells[:, real], moments, backbones))
     np.add.at(lateral_area, pairs, wall_area[:, None])
     return ExactDiagram(volume, lateral_area, pairs, wall_area)
@@ -174,9 +152,9 @@ def _bisectors(start: Float64[np.ndarray, "f 3"], stop: Float64[np.ndarray, "f 3
     return _Planes(np.stack([n_x, n_r]), across, np.sum(normal * (start + stop), axis=1) / 2)
 
 
-def _ring_edges(corners: np.ndarray, first: np.ndarray, facet: np.ndarray, planes: _Planes) -> _Edges:
+def _ring_edges(corners: np.ndarray, first: np.ndarray, facet: np.ndarray, planes: _Planes) -> Edges:
     """Edges of each facet, counterclockwise, from its corners in cyclic order."""
-    (n_x, n_r), (m_y, m_z), offset = _take(planes, facet)
+    (n_x, n_r), (m_y, m_z), offset = take(planes, facet)
     x, y, z = corners.T
     u = m_y * z - m_z * y
     v = n_r * x - n_x * (m_y * y + m_z * z)
@@ -186,10 +164,10 @@ def _ring_edges(corners: np.ndarray, first: np.ndarray, facet: np.ndarray, plane
     ends = np.where(clockwise, [head, tail], [tail, head])
     u, v = u[ends], v[ends]
     # x and w from the plane, not from Qhull's corner: exactly linear in v
-    return _Edges(u, v, n_r * offset - n_x * v, n_x * offset + n_r * v)
+    return Edges(u, v, n_r * offset - n_x * v, n_x * offset + n_r * v)
 
 
-def _facet_moments(facets: _Facets, clip: _Clip) -> Float64[np.ndarray, "6 f"]:
+def _facet_moments(facets: _Facets, clip: Clip) -> Float64[np.ndarray, "6 f"]:
     """int (1, v, u, v^2, u v, u^2) dA over each clipped facet."""
     _, _, first, facet, ((u, _), _, (w, _), (x, _)) = facets
     low, high = np.minimum.reduceat(x, first), np.maximum.reduceat(x, first)
@@ -202,8 +180,8 @@ def _facet_moments(facets: _Facets, clip: _Clip) -> Float64[np.ndarray, "6 f"]:
     crossed = (low < clip.half) & (high > -clip.half) & (nearest < clip.radius) & ~within
 
     whole, part = np.flatnonzero(within[facet]), np.flatnonzero(crossed[facet])
-    lines, crossing = _take(facets.edges, whole), _take(facets.edges, part)
-    swept = np.append(_straight_moments(lines), _clipped_moments(crossing, clip), axis=1)
+    lines, crossing = take(facets.edges, whole), take(facets.edges, part)
+    swept = np.append(straight_moments(lines), clipped_moments(crossing, clip), axis=1)
     return np.stack([np.bincount(facet[np.append(whole, part)], row, len(first)) for row in swept])
 
 
@@ -214,89 +192,18 @@ def _require_filled(volume: Float64[np.ndarray, " n"], tube: Tube) -> None:
         raise ValueError(f"the volumes add up to {filled:.9g} of the tube's; take other samples or backbones")
 
 
-def _patches_at(end: float, facets: _Facets, clip: _Clip) -> Float64[np.ndarray, " f"]:
+def _patches_at(end: float, facets: _Facets, clip: Clip) -> Float64[np.ndarray, " f"]:
     """What each facet adds to the area of a's patch of the disc at x = end (and takes from b's)."""
     tail, head = facets.edges.x > end
     # a ring crosses the plane upwards as often as downwards
     crossing = np.stack([np.flatnonzero(head & ~tail), np.flatnonzero(tail & ~head)])
-    edges, facet = _take(facets.edges, crossing), facets.facet[crossing[0]]
-    u, _, w, _ = _at(edges, (end - edges.x[0]) / (edges.x[1] - edges.x[0]))
+    edges, facet = take(facets.edges, crossing), facets.facet[crossing[0]]
+    u, _, w, _ = at(edges, (end - edges.x[0]) / (edges.x[1] - edges.x[0]))
     u, w = np.where(u[0] < u[1], [u, w], [u[::-1], w[::-1]])
     m_y, m_z = facets.planes.across[:, facet]
     y, z = m_y * w - m_z * u, m_z * w + m_y * u
-    swept = _clipped_moments(_Edges(y, z, z, np.zeros_like(z)), clip)
+    swept = clipped_moments(Edges(y, z, z, np.zeros_like(z)), clip)
     return np.bincount(facet, swept[0], len(facets.first))
-
-
-def _take(data: _Fields, chosen: np.ndarray) -> _Fields:
-    """The chosen facets or edges (the last axis of every field)."""
-    return type(data)(*(field[..., chosen] for field in data))
-
-
-def _at(edges: _Edges, share: np.ndarray) -> _Edges:
-    """Points at the given shares of the way along the edges."""
-    return _Edges(*(ends[0] + share * (ends[1] - ends[0]) for ends in edges))
-
-
-def _clipped_moments(edges: _Edges, clip: _Clip) -> Float64[np.ndarray, "6 e"]:
-    """The moments swept by edges, u clamped to the disc and v cut at the end planes."""
-    cuts = _cuts(edges, clip)
-    start, stop = cuts[:-1], cuts[1:]
-    u, _, w, x = _at(edges, (start + stop) / 2)
-    inside = (stop > start) & (np.abs(x) < clip.half) & (np.abs(w) < clip.radius)
-    straight = inside & (u * u + w * w <= clip.radius**2)
-
-    def pieces(kind: Bool[np.ndarray, "7 e"]) -> tuple[np.ndarray, _Edges]:
-        edge = np.nonzero(kind)[1]
-        return edge, _at(_take(edges, edge), np.stack([start[kind], stop[kind]]))
-
-    (line, lines), (arc, arcs) = pieces(straight), pieces(inside & ~straight)
-    swept = np.append(_straight_moments(lines), _arc_moments(arcs, clip.radius), axis=1)
-    return np.stack([np.bincount(np.append(line, arc), row, cuts.shape[1]) for row in swept])
-
-
-def _cuts(edges: _Edges, clip: _Clip) -> Float64[np.ndarray, "8 e"]:
-    """Shares, sorted from 0 to 1, where an edge meets the end planes, the cylinder, or |w| = radius."""
-    (u, _), _, (w, _), (x, _) = edges
-    du, _, dw, dx = (ends[1] - ends[0] for ends in edges)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        square = du * du + dw * dw
-        middle = -(u * du + w * dw) / square
-        chord = np.sqrt(np.maximum(clip.radius**2 - (u * dw - w * du) ** 2 / square, 0) / square)
-        planes = [(s * clip.half - x) / dx for s in (-1, 1)] + [(s * clip.radius - w) / dw for s in (-1, 1)]
-    cuts = np.stack([np.zeros_like(u), np.ones_like(u), middle - chord, middle + chord, *planes])
-    return np.sort(np.clip(np.nan_to_num(cuts), 0, 1), axis=0)
-
-
-def _powers(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """int (1, v, u, v^2, u v, u^2) du from 0 to u."""
-    return np.stack([u, u * v, u * u / 2, u * v * v, u * u * v / 2, u * u * u / 3])
-
-
-def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Legendre nodes and weights on [0, 1], as columns."""
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    return (nodes[:, None] + 1) / 2, weights[:, None] / 2
-
-
-def _straight_moments(edges: _Edges) -> Float64[np.ndarray, "6 e"]:
-    """Moments swept by whole edges; the integrand is cubic along the edge, so two Gauss nodes are exact."""
-    first, second = (_powers(*_at(edges, node)[:2]) for node in _gauss(2)[0])
-    return (first + second) * (edges.v[1] - edges.v[0]) / 2
-
-
-def _arc_moments(edges: _Edges, radius: float) -> Float64[np.ndarray, "6 e"]:
-    """Moments swept by edges clamped to u = +-h(v), with Gauss nodes in the angle f of w = radius sin f."""
-    nodes, weights = _gauss(12)  # roundoff for every arc: they are below 180 degrees
-    start, stop = np.arcsin(np.clip(edges.w / radius, -1, 1))
-    half = (stop - start) / 2
-    angle = start + 2 * nodes * half
-    # (sin f - sin f_0) / (sin f_1 - sin f_0) and its derivative, also where w is constant
-    scale = np.cos((start + stop) / 2) * np.sinc(half / np.pi)
-    share = nodes * np.cos((angle + start) / 2) * np.sinc(nodes * half / np.pi) / scale
-    weights = weights * np.cos(angle) / scale * (edges.v[1] - edges.v[0])
-    u = np.sign(edges.u.sum(axis=0)) * radius * np.cos(angle)
-    return np.sum(weights * _powers(u, _at(edges, share).v), axis=1)
 
 
 def _cosine(planes: _Planes, cells: np.ndarray, moments: np.ndarray, backbones: _Backbones) -> np.ndarray:

@@ -4,7 +4,6 @@ A box whose list has come down to one backbone lies in one cell. Time grows as p
 the shape of the tube and however the backbones crowd (host, float64).
 """
 
-import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -12,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float64, Int32, Int64
 
+from jaxtissue.cores import usable_threads
 from jaxtissue.inputs import as_positions
 from jaxtissue.tube import Tube
 
@@ -81,7 +81,7 @@ def label_points(
         chunk = _in_order(points[start : start + _CHUNK])
         labels[start + chunk.order] = _label(chunk, cells)
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(usable_threads()) as pool:
         list(pool.map(label_chunk, range(0, len(points), _CHUNK)))
     return labels
 

@@ -10,17 +10,15 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from tqdm import tqdm
 
 from jaxtissue import io
 from jaxtissue.anneal import SPAN
-from jaxtissue.diagrams import measure_tissue
+from jaxtissue.diagrams import Gauge
 from jaxtissue.files import (
     check_folder,
     open_own,
 )
-from jaxtissue.lines import PRESETS
 from jaxtissue.locks import alone
 from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes, save_figure
 from jaxtissue.records import AcceptanceWatch
@@ -147,20 +145,18 @@ def _finish(run: Run, ended: bool = True) -> None:
     if connectivity is not None:
         write_contacts(run.folder, connectivity)
         summary |= contact_summary(connectivity)
-    shown = run.kept | {run.state.sweep: run.state.positions}
-    fine = [measure_tissue(jnp.asarray(at), model.tube, PRESETS["fine"])[0] for at in shown.values()]
-    fine_energy = [float(model.cell_energy(cells, model).sum()) for cells in fine]
+    shown = run.kept | {run.state.sweep: place}
+    volumes = {sweep: np.asarray(run.annealer.measure(shown[sweep]).volume) for sweep in _a_few(list(shown))}
+    volumes[run.state.sweep] = columns["volume"]
+    ends = (0, run.state.sweep)
+    gauge = Gauge(model.tube, "fine")
+    fine_energy = [float(model.cell_energy(gauge.measure(shown[sweep]), model).sum()) for sweep in ends]
     sweeps = io.read_sweeps(run.folder / "sweeps.csv")
-    before, after = (
-        Tissue(f"sweep {sweep}", shown[sweep], cells.volume)
-        for sweep, cells in ((0, fine[0]), (run.state.sweep, fine[-1]))
-    )
+    tissues = [Tissue(f"sweep {sweep}", shown[sweep], volumes[sweep]) for sweep in ends]
     figures = (
-        partial(plot_energy, sweeps, (list(shown), fine_energy), "total, measured with 'fine'"),
-        partial(
-            plot_volumes, *_a_few(list(shown), [cells.volume for cells in fine]), float(model.mean_volume)
-        ),
-        partial(plot_surfaces, model.tube, (before, after)),
+        partial(plot_energy, sweeps, (ends, fine_energy), "total, measured with 'fine'"),
+        partial(plot_volumes, list(volumes), list(volumes.values()), float(model.mean_volume)),
+        partial(plot_surfaces, model.tube, tissues),
     )
     for name, draw in zip(FIGURES, figures, strict=True):
         save_figure(run.folder / name, draw)
@@ -171,10 +167,10 @@ def _finish(run: Run, ended: bool = True) -> None:
     _print_result(run)
 
 
-def _a_few(sweeps: list[int], volumes: list[Array]) -> tuple[list[int], list[Array]]:
+def _a_few(sweeps: list[int]) -> list[int]:
     """At most seven of the kept sweeps, the first and the last among them."""
     picked = np.unique(np.linspace(0, len(sweeps) - 1, min(7, len(sweeps))).round().astype(int))
-    return [sweeps[i] for i in picked], [volumes[i] for i in picked]
+    return [sweeps[i] for i in picked]
 
 
 def _print_result(run: Run) -> None:

@@ -8,10 +8,10 @@ import networkx as nx
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float
 
-from jaxtissue.contacts import Contacts, find_contacts
+from jaxtissue.contacts import Contacts, find_contacts, find_faces
 from jaxtissue.edges import EdgeGraph, trace_edges
 from jaxtissue.inputs import as_positions
-from jaxtissue.leads import BOUNDS
+from jaxtissue.leads import BOUNDS, Leads
 from jaxtissue.transitions import CellForms, Transitions, find_forms, find_transitions
 from jaxtissue.tube import Tube
 
@@ -44,10 +44,11 @@ def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold:
         raise ValueError(f"threshold={threshold}; give a fraction of the mean wall, 0 or more")
     place = as_positions(positions, tube, np.float64)
     edges = trace_edges(place, tube)
+    faces = find_faces(edges, Leads(place, tube))
     return Connectivity(
-        find_contacts(place, tube, threshold, edges),
-        find_transitions(place, tube, edges),
-        find_forms(place, tube, edges=edges),
+        find_contacts(place, tube, threshold, edges, faces),
+        find_transitions(place, tube, edges, faces),
+        find_forms(place, tube, edges, faces),
         _find_ends(edges),
     )
 

@@ -41,14 +41,18 @@ class CellForms:
 
 
 def find_transitions(
-    positions: Float[ArrayLike, "n 2"], tube: Tube, edges: EdgeGraph | None = None
+    positions: Float[ArrayLike, "n 2"],
+    tube: Tube,
+    edges: EdgeGraph | None = None,
+    faces: Faces | None = None,
 ) -> Transitions:
     """All transition points, d_a = d_b = d_c = d_d <= every other distance, R_a < r < R_b and 0 < x < L.
 
     They are the vertices of four cells at which the edges of the diagram end, to some 1e-14 of the tube's
     size by Newton in float64; where four cells meet all along a line, as on a square lattice, there is none.
     The frame is x along the axis, y = r cos(angle), z = r sin(angle). Positions as (axial, angle), [n, 2];
-    `edges` spares tracing them anew. Paper, section 4.3 (decision: open tissue only).
+    `edges` and their `faces` spare tracing and measuring them anew. Paper, section 4.3 (decision:
+    open tissue only).
 
     >>> four = find_transitions([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> four.points.round(4).tolist(), four.cells.tolist()
@@ -57,9 +61,8 @@ def find_transitions(
     graph = trace_edges(positions, tube) if edges is None else edges
     inner = graph.vertex_labels[:, 3] < graph.cells
     if graph.blur:
-        inner &= ~_of_slivers(
-            graph, find_faces(graph, Leads(as_positions(positions, tube, np.float64), tube))
-        )
+        place = as_positions(positions, tube, np.float64)
+        inner &= ~_of_slivers(graph, find_faces(graph, Leads(place, tube)) if faces is None else faces)
     cells = graph.vertex_labels[inner]
     per_cell = np.bincount(cells.ravel(), minlength=graph.cells)
     return Transitions(graph.vertices[inner], cells, per_cell, graph.open_ends)
@@ -72,20 +75,26 @@ def _of_slivers(graph: EdgeGraph, faces: Faces) -> Bool[np.ndarray, " v"]:
     return np.isin(np.arange(len(graph.vertices)), vertices)
 
 
-def find_forms(positions: Float[ArrayLike, "n 2"], tube: Tube, edges: EdgeGraph | None = None) -> CellForms:
+def find_forms(
+    positions: Float[ArrayLike, "n 2"],
+    tube: Tube,
+    edges: EdgeGraph | None = None,
+    faces: Faces | None = None,
+) -> CellForms:
     """Which cells wrap round the lumen, and how many parts each has.
 
     A cell is one interval on each line parallel to the axis, so the lines that meet it are bounded, in radius
     and angle, by its *silhouette*: its edges with one cell or end of the tube ahead and one behind. It wraps
     if at some radius there is no silhouette, as its own backbone is within. Its parts are the connected parts
-    of its boundary. Positions as (axial, angle), [n, 2]; `edges` spares tracing them anew.
+    of its boundary. Positions as (axial, angle), [n, 2]; `edges` and
+    their `faces` spare tracing and measuring them anew.
 
     >>> find_forms([[2, 0], [8, 0]], Tube(10, 1, 3))
     CellForms(is_ring=array([ True,  True]), pieces=array([1, 1]))
     """
     place = as_positions(positions, tube, np.float64)
     graph = trace_edges(place, tube) if edges is None else edges
-    faces = find_faces(graph, Leads(place, tube))
+    faces = find_faces(graph, Leads(place, tube)) if faces is None else faces
     return CellForms(_find_rings(place, tube, graph), _count_pieces(graph, faces))
 
 

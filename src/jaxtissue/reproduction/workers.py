@@ -15,6 +15,7 @@ import jax
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 from jaxtissue.cluster import use_cores
+from jaxtissue.cores import usable_cores
 from jaxtissue.memory import machine_memory
 from jaxtissue.modes import keep_usual_modes
 
@@ -27,7 +28,7 @@ def free_cores() -> int:
     shared out."""
     if jax.default_backend() != "cpu":
         return 1
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = usable_cores()
     return max(1, min(cores, (machine_memory() or cores * ROOM) // ROOM))
 
 
