@@ -29,7 +29,7 @@ SMALL = ("anneal", *SIZES, "--cells", "16", "--seed", "3")
 LONG = (*SMALL, "--sweeps", "80")
 SIZE_COLUMNS = (
     "cell,axial,angle,volume,lateral_area,apical_area,basal_area,"
-    "apical_perimeter,basal_perimeter,energy,is_end"
+    "apical_perimeter,basal_perimeter,volume_error,lateral_area_error,energy,is_end"
 )
 CONTACT_COLUMNS = (
     "neighbors,apical_basal_neighbors,apical_neighbors,basal_neighbors,internal_neighbors,"
@@ -37,7 +37,8 @@ CONTACT_COLUMNS = (
 )
 SIZES_SUMMED = [
     *("total_volume", "total_lateral_area", "energy"),
-    *("separation", "covering_radius", "tightness", "overflow", "seconds"),
+    *("separation", "covering_radius", "tightness", "overflow"),
+    *("largest_volume_error", "largest_lateral_area_error", "seconds"),
 ]
 COUNTED = {
     "neighbors": "deg_any",
@@ -114,8 +115,8 @@ def test_anneal_leaves_tables_figures_and_a_manifest(annealed):
     terms = column(sweeps, "volume_energy") + column(sweeps, "area_energy")
     np.testing.assert_allclose(column(sweeps, "energy"), terms, rtol=1e-5)
     assert column(sweeps, "energy")[-1] < column(sweeps, "energy")[0]
-    # Summed in another order, and in 32 bits.
-    assert column(cells, "energy").sum() == pytest.approx(column(sweeps, "energy")[-1], rel=1e-4)
+    # Measured by `draft` in sweeps, and adaptively in the table.
+    assert column(cells, "energy").sum() == pytest.approx(column(sweeps, "energy")[-1], rel=0.02)
     final = read_backbones(annealed / "backbones.csv", Tube(12, 2, 4)).positions
     np.testing.assert_array_equal(final, np.stack([column(cells, "axial"), column(cells, "angle")], axis=-1))
 
@@ -507,13 +508,15 @@ def test_force_removes_only_what_a_run_writes(tmp_path):
 @pytest.mark.parametrize("told", [True, False])
 def test_what_is_compiled_is_kept_for_the_next_command(told: bool, tmp_path):
     """In the user's cache folder, unless JAX is told where."""
-    (tmp_path / "cells.csv").write_text(GOOD)
+    many = "".join(f"{0.1 * k},{2.4 * k}\n" for k in range(70))  # fewer are measured without a program
+    (tmp_path / "cells.csv").write_text("axial,angle\n" + many)
     command = [sys.executable, "-m", "jaxtissue", "measure", *SIZES, "--no-contacts", "--out", "measured"]
+    command += ["--resolution", "1x1"]
     environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "user"), "HOME": str(tmp_path / "user")}
     environment["JAX_COMPILATION_CACHE_DIR"] = str(tmp_path / "told") if told else ""
     run = subprocess.run([*command, "cells.csv"], cwd=tmp_path, env=environment, check=True)
     assert run.returncode == 0
-    kept = {path.relative_to(tmp_path).parts[0] for path in tmp_path.rglob("jit_measure_all-*")}
+    kept = {path.relative_to(tmp_path).parts[0] for path in tmp_path.rglob("jit_share-*")}
     assert kept == {"told" if told else "user"}
 
 
