@@ -212,9 +212,9 @@ def _print_summary(summary: dict[str, Any]) -> None:
         if name == "inner":
             continue
         if name == "cells":
-            print(f"\n{'':24}{'all':>12}{'inner':>12}")
+            print(f"\n{'':28}{'all':>12}{'inner':>12}")
         beside = f"{value:12.6g}{inner[name]:12.6g}" if name in inner else f"{value:.6g}"
-        print(f"{name:24}{beside}")
+        print(f"{name:28}{beside}")
 
 
 def _need_relative(arguments: dict[str, Any], given: dict[str, Any]) -> None:
