@@ -22,7 +22,7 @@ BLOCK = 48  # cells measured at once, whole vectors of 16; of 64 or 128 rows evi
 class CellGeometry(eqx.Module):
     """Sizes of each cell; those on the two surfaces only where the lines include the surfaces.
 
-    The errors are bounds that 95 % of cells keep, in units of the sizes: of whole tissues measured once.
+    The errors are bounds that most cells keep, in units of the sizes: of whole tissues measured once.
     """
 
     volume: Float[Array, "cells"]

@@ -51,10 +51,10 @@ def measure_tissue(
     `as_positions` takes; a resolution as `as_resolution` does. Without `surfaces`, areas and perimeters on
     them are left out.
 
-    `volume_error` and `lateral_area_error` bound the errors of at least 95 % of cells. A cell whose error may
+    `volume_error` and `lateral_area_error` bound the errors of most cells, not of all. A cell whose error may
     be above 1 % of the mean volume or 5 % of the mean lateral area is measured adaptively; so is every cell
     of a tissue of up to 64, whatever the resolution, and with a `tolerance`, a fraction of both means, every
-    cell until its errors are below it: some 30 ms a cell. Without `refine` all cells are measured by the rule
+    cell until its errors are below it: slow. Without `refine` all cells are measured by the rule
     of the resolution alone, and there are no errors and no warnings.
 
     Raises `ValueError` for positions that `as_positions` refuses, and for a tolerance that is not positive.
