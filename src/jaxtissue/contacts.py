@@ -53,6 +53,7 @@ class Faces(NamedTuple):
     length: Float[np.ndarray, " parts"]
     is_round: Bool[np.ndarray, " parts"]
     edge_length: Float[np.ndarray, " e"]
+    volume: Float[np.ndarray, " n"]  # of the cells within them
 
     def is_wall(self, blur: float = 0.0) -> Bool[np.ndarray, " parts"]:
         """Which parts are wider than what comes of walls that are off by `blur`."""
@@ -115,4 +116,6 @@ def find_faces(edges: EdgeGraph, leads: Leads) -> Faces:
     part_face[part] = face
     area, turn = (np.bincount(part, values.ravel()[rows], count) for values in (rims.area, rims.turn))
     length = np.bincount(part, rims.length[edge], count)
-    return Faces(pairs, face, edge, part, part_face, area, length, np.abs(turn) > np.pi, rims.length)
+    return Faces(
+        pairs, face, edge, part, part_face, area, length, np.abs(turn) > np.pi, rims.length, rims.volume
+    )

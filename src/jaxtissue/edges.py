@@ -22,7 +22,8 @@ CARE = 4.0  # by how much steps are shorter at most
 PART = 1e-7  # of the distances to their next: how far walls that meet in one line of four cells are parted
 NEAR_TIES = 4  # a fifth label may lag behind four by so many ties and still count as tied
 WIDE = 100  # times that: what is narrower may come of it
-FIRST = 8  # of the seeds one in so many is followed at first, then those on no edge yet
+FIRST = 8  # of the seeds at most one in so many is followed at first, then those on no edge yet
+TOGETHER = 64  # seeds to follow at first, at least: fewer fronts take hardly less time a step
 
 
 class EdgeGraph(NamedTuple):
@@ -98,7 +99,8 @@ def _settle(graph: EdgeGraph, leads: Leads, weights: Float[np.ndarray, " n"]) ->
 def _trace(leads: Leads) -> tuple[EdgeGraph, Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """The graph, the cells at vertices where a fifth label ties, and those whose edges were lost."""
     graph, seeds = _Growing(leads), seed(leads)
-    graph.grow(Seeds(*(column[::FIRST] for column in seeds)))
+    apart = min(FIRST, 1 + len(seeds.point) // TOGETHER)
+    graph.grow(Seeds(*(column[::apart] for column in seeds)))
     graph.grow(Seeds(*(column[~graph.covers(seeds)] for column in seeds)))
     lenses = seed_lenses(*graph.walls(), leads)
     if len(lenses.point):

@@ -13,7 +13,8 @@ TURN = 0.4  # longest step, in radii of curvature
 BENT = 0.85  # cosine of the most that an edge may turn in a step
 FINE = 0.3  # most that edges turn, in radians, in the segments that are kept
 STRAY = 3e-4  # of its length: most by which an edge leaves the cubic through the ends of a segment
-BENDS = 4  # steps to where a foot leaves its backbone's end
+BENDS = 6  # steps to where a foot leaves its backbone's end
+MET = 1e-5  # of a segment: the last of them at most, or it is not parted there
 ENOUGH = 1e-7  # of a step: Newton's next step is its square
 GOING, HOME, LOST = -1, -2, -3  # nobody met yet; back where the front began; the step was too long
 
@@ -189,16 +190,18 @@ def _part_at_bends(parts: Segments, labels: Int[np.ndarray, "s 3"], place: int, 
     ends, three, way, above = parts.points[bent], labels[bent], way[bent], above[bent]
     share = (above[:, 0] / (above[:, 0] - above[:, 1]))[:, None]
     middle = (1 - share) * ends[:, 0] + share * ends[:, 1]
-    small, good = ENOUGH * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), np.ones(len(bent), bool)
-    along = np.zeros_like(middle)
+    chord = ends[:, 1] - ends[:, 0]
+    width, good = np.linalg.norm(chord, axis=1), np.ones(len(bent), bool)
+    along, shift = np.zeros_like(middle), np.zeros(len(bent))
     for _ in range(BENDS):
-        middle, found = leads.solve(middle, three, small)
+        middle, found = leads.solve(middle, three, ENOUGH * width)
         along = leads.tangent(middle, three)
         rate = (along[:, 1:] * way).sum(axis=1)
         miss = (middle[:, 1:] * way).sum(axis=1) - leads.inner
         good &= found & (np.abs(rate) > TINY)
-        middle = middle - (miss / np.where(good, rate, np.inf))[:, None] * along
-    chord = ends[:, 1] - ends[:, 0]
+        shift = miss / np.where(good, rate, np.inf)
+        middle = middle - shift[:, None] * along
+    good &= np.abs(shift) < MET * width
     share = ((middle - ends[:, 0]) * chord).sum(axis=1) / (chord**2).sum(axis=1)
     good &= (share > ENOUGH) & (share < 1 - ENOUGH)
     return parts.split(bent[good], middle[good], along[good])

@@ -1,4 +1,4 @@
-"""Sizes of cells with their errors: two rules compared; where they differ, cells are measured adaptively."""
+"""Sizes of cells with their errors: two rules compared; where they differ, cells are traced."""
 
 import functools
 import math
@@ -12,10 +12,10 @@ from jax.sharding import AxisType, Mesh, PartitionSpec
 from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial import KDTree
 
-from jaxtissue.adaptive import measure_adaptively
 from jaxtissue.cells import CellGeometry, measure_cells
 from jaxtissue.lines import Lines, Resolution, plan_lines
 from jaxtissue.lowering import options
+from jaxtissue.sizes import trace_sizes
 from jaxtissue.tube import Tube
 
 CELLS = "cells"
@@ -25,8 +25,7 @@ FINER = 1.7, 2.0  # factors of layers and density from one rule to the next
 SAFETY = 2.0  # of the difference of two rules, so that it bounds the error of the coarser one
 NARROW = 4.0  # times its longest line by which a cell may end before the next line and counts as narrow
 CARE = 4.0  # more safety for narrow cells, on which two rules may err alike
-PRECISE = 5.0  # by how much cells measured adaptively are to be better than their limit
-FEW_CELLS = 64  # of a tissue that is measured adaptively as a whole
+FEW_CELLS = 64  # of a tissue that is traced as a whole
 SUMS = 1e-3  # of the mean cell by which volumes may miss the tube's beyond their errors
 COARSE = 3000  # rounding errors of a coordinate by which backbones differ that lines can measure
 
@@ -46,27 +45,27 @@ def measure_refined(
 ) -> CellGeometry:
     """Sizes of all cells, with bounds of the errors of volume and lateral area.
 
-    Cells of a small tissue, and all where a limit is below LIMITS, are measured adaptively: rules bound the
-    errors of most cells, not of all. Others are measured by the rule of the `resolution` and by a finer one;
-    where these leave a limit, adaptively.
+    All are measured by the rule of the `resolution` and by a finer one; where these leave a limit, cells are
+    traced among their candidates. Those that can't be traced keep what the finer rule found.
     """
-    n, everyone = len(tissue.positions), np.arange(len(tissue.positions))
-    if n <= FEW_CELLS or min(limits) < min(LIMITS):
-        precise = np.minimum(limits, np.array(LIMITS) / PRECISE)
-        found = refine_adaptively(tissue, everyone, precise)
-        sizes = {name: column for name, column in found.items() if surfaces or name not in ON_SURFACES}
-    else:
-        sizes, open_ = measure_by_rules(tissue, resolution, surfaces, limits)
-        area = float(sizes["lateral_area"].mean())
-        found = refine_adaptively(tissue, open_, np.array(limits) / PRECISE, area) if len(open_) else {}
+    sizes, open_ = measure_by_rules(tissue, resolution, surfaces, limits)
+    if len(open_):
+        traced = trace_sizes(tissue.given, tissue.tube, open_, tissue.sides[open_])
+        found = _on_host(traced) if traced is not None else {}
         for name in found.keys() & sizes.keys():
             sizes[name][open_] = found[name]
-    dtype = tissue.positions.dtype
+    return plain(sizes, tissue.positions.dtype)
 
-    def plain(column: np.ndarray) -> Array:
+
+def plain(sizes: CellGeometry | dict[str, np.ndarray], dtype: Any, surfaces: bool = True) -> CellGeometry:
+    """The sizes in a precision, on the device, with or without those on the surfaces."""
+    columns = _on_host(sizes) if isinstance(sizes, CellGeometry) else sizes
+
+    def placed(column: np.ndarray) -> Array:
         return jnp.asarray(column if column.dtype == bool else column.astype(dtype))
 
-    return CellGeometry(**{name: plain(column) for name, column in sizes.items()})
+    kept = {name: column for name, column in columns.items() if surfaces or name not in ON_SURFACES}
+    return CellGeometry(**{name: placed(column) for name, column in kept.items()})
 
 
 def measure_by_rules(
@@ -97,20 +96,6 @@ def measure_by_rules(
     sizes |= {"volume_error": error[0], "lateral_area_error": error[1]}
     open_ = np.flatnonzero(~(error <= allowed).all(axis=0))
     return sizes, np.union1d(open_, near_twins(tissue.positions, tissue.tube))
-
-
-def refine_adaptively(
-    tissue: Tissue,
-    cells: Int[np.ndarray, " cells"],
-    tolerance: Float[np.ndarray, "2"],
-    mean_area: float | None = None,
-) -> dict[str, np.ndarray]:
-    """Columns of some cells, measured adaptively."""
-    n = len(tissue.positions)
-    lists = tissue.sides[cells].reshape(len(cells), -1)
-    rivals = np.broadcast_to(np.arange(n), (len(cells), n)) if n <= max(FEW_CELLS, lists.shape[1]) else lists
-    tolerances = float(tolerance[0]), float(tolerance[1])
-    return measure_adaptively(tissue.given, tissue.tube, cells, rivals, tolerances, mean_area)._asdict()
 
 
 def near_twins(

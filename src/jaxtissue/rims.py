@@ -1,10 +1,14 @@
-"""Areas from rims alone: what each edge adds to the areas of the three faces that meet along it.
+"""Sizes from rims alone: what each edge adds to the areas of the faces that meet along it, and to volumes.
 
 The wall of a and b is a graph over the cross-section, x = h(r, t), of area G r dr dt with G = |q_b - q_a| /
 |x_b - x_a|, q the feet. On a ray from the axis |q_b - q_a|^2 is quadratic in r between the places where feet
 leave the apical ends, so P(r, t), the integral of G r from R_a to r, is closed, and the area is that of P dt
 round the rim: no sheet is too steep, folded, or wound round the lumen. Level backbones have the half-planes
 midway between them, of area x dr round the rim.
+
+The volume of cell a is the flow of (x - x_a, 0, 0) out of it, through its walls and ends: the sum over its
+walls of the integral of (h - x_a) r dr dt, again round their rims, where the integral over r from R_a to r is
+a polynomial of r and cos(t - t_a) on either side of the place where a foot leaves its apical end.
 """
 
 from typing import NamedTuple
@@ -13,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtissue.edges import EdgeGraph
-from jaxtissue.leads import TINY, Leads
+from jaxtissue.leads import BOUNDS, TINY, Leads
 
 SIDES = (
     (0, 1, 1.0),
@@ -40,17 +44,19 @@ NODES, WEIGHTS, SLOPES = _lobatto()
 
 class Rims(NamedTuple):
     """The length of each edge, and for each of its faces, as in SIDES, what it adds to their area and how far
-    the face turns about the axis along it."""
+    the face turns about the axis along it; the volume of each cell."""
 
     length: Float[np.ndarray, " e"]
     area: Float[np.ndarray, "3 e"]
     turn: Float[np.ndarray, "3 e"]
+    volume: Float[np.ndarray, " n"]
 
 
 def measure_rims(graph: EdgeGraph, leads: Leads) -> Rims:
-    """Lengths and areas by Gauss-Lobatto on every segment, at nodes brought onto the edges."""
-    count = len(graph.edge_labels)
+    """Lengths, areas and volumes by Gauss-Lobatto on every segment, at nodes brought onto the edges."""
+    count, cells = len(graph.edge_labels), leads.count + BOUNDS
     length, area, turn = np.zeros(count), np.zeros((3, count)), np.zeros((3, count))
+    volume = np.zeros(cells)
     for start in range(0, len(graph.points), BLOCK):
         some = slice(start, start + BLOCK)
         edge = graph.segment_edge[some]
@@ -65,9 +71,10 @@ def measure_rims(graph: EdgeGraph, leads: Leads) -> Rims:
             kept = np.flatnonzero(labels[:, one] < leads.count)
             pair = labels[kept][:, [one, two]]
             swept = sign * _swept(point[kept], start_angle[kept], angle[kept], pair, leads)
-            area[side] += np.bincount(edge[kept], swept, count)
+            area[side] += np.bincount(edge[kept], swept[0], count)
             turn[side] += np.bincount(edge, sign * angle[:, -1], count)
-    return Rims(length, area, turn)
+            volume += np.bincount(pair.T.ravel(), swept[1:].ravel(), cells)
+    return Rims(length, area, turn, volume[: leads.count])
 
 
 def nodes_on(
@@ -104,31 +111,58 @@ def _swept(
     turn: Float[np.ndarray, "m 5"],
     pair: Int[np.ndarray, "m 2"],
     leads: Leads,
-) -> Float[np.ndarray, " m"]:
+) -> Float[np.ndarray, "3 m"]:
     """What segments with the face of a pair on their left, seen against the normal to the second label, add
-    to its area."""
-    n, swept = leads.count, np.zeros(len(point))
+    to its area, and to the volumes of the two cells."""
+    n, swept = leads.count, np.zeros((3, len(point)))
     bound, radius = pair[:, 1] - n, np.hypot(point[..., 1], point[..., 2])
     spin, rise = (np.einsum("ij,mj->mi", SLOPES, value) for value in (turn, radius))
     gap = leads.axial[pair[:, 1]] - leads.axial[pair[:, 0]]
     own, other = (np.stack([leads.cosine[k], leads.sine[k]]) for k in pair.T)
     level = np.abs(gap) < LEVEL * leads.inner * np.linalg.norm(own - other, axis=0)
     walls = np.flatnonzero((bound < 0) & ~level)
-    height = primitive(radius[walls], start[walls, None] + turn[walls], pair[walls], leads)
-    swept[walls] = np.sign(gap[walls]) * ((height * spin[walls]) @ WEIGHTS)
+    at = radius[walls], start[walls, None] + turn[walls], pair[walls], leads
+    height = np.stack([np.sign(gap[walls, None]) * primitive(*at), *flow(*at)])
+    swept[:, walls] = (height * spin[walls]) @ WEIGHTS
     planes = np.flatnonzero((bound < 0) & level)
     flat = point[planes].reshape(-1, 3)
     foot, next_foot = (leads.feet(flat, np.repeat(k, 5)) for k in pair[planes].T)
-    around = flat[:, 1] * (next_foot - foot)[:, 2] - flat[:, 2] * (next_foot - foot)[:, 1]
-    upward = np.sign(around).reshape(-1, 5)
-    swept[planes] = (upward * point[planes, :, 0] * rise[planes]) @ WEIGHTS
+    way = next_foot - foot
+    around = (flat[:, 1] * way[:, 2] - flat[:, 2] * way[:, 1]).reshape(-1, 5)
+    lean = gap[planes, None] / np.linalg.norm(way, axis=1).reshape(-1, 5)  # normal along x
+    place = point[planes, :, 0]
+    near, far = (lean / 2 * (place - leads.axial[k, None]) ** 2 for k in pair[planes].T)
+    swept[:, planes] = (np.stack([place, near, -far]) * np.sign(around) * rise[planes]) @ WEIGHTS
     for surface, size in ((0, leads.inner), (1, -leads.outer)):
         here = np.flatnonzero(bound == surface)
-        swept[here] = size * ((point[here, :, 0] * spin[here]) @ WEIGHTS)
-    for end, outward in ((2, -0.5), (3, 0.5)):
-        here = np.flatnonzero(bound == end)
-        swept[here] = outward * ((radius[here] ** 2 * spin[here]) @ WEIGHTS)
+        swept[0, here] = size * ((point[here, :, 0] * spin[here]) @ WEIGHTS)
+    for end, outward in ((0.0, -0.5), (leads.length, 0.5)):
+        here = np.flatnonzero(bound == (2 if outward < 0 else 3))
+        swept[0, here] = outward * ((radius[here] ** 2 * spin[here]) @ WEIGHTS)
+        swept[1, here] = np.abs(end - leads.axial[pair[here, 0]]) * swept[0, here]
     return swept
+
+
+def flow(
+    radius: Float[np.ndarray, "m k"],
+    angle: Float[np.ndarray, "m k"],
+    pair: Int[np.ndarray, "m 2"],
+    leads: Leads,
+) -> tuple[Float[np.ndarray, "m k"], Float[np.ndarray, "m k"]]:
+    """The integrals of (h - x_a) r dr and of (x_b - h) r dr from R_a to r, h the wall's height.
+
+    h - x_a = gap / 2 + (f_b - f_a) / (2 gap). With c = cos(t - t_j), f_j - r^2 is R_a^2 - 2 R_a r c where the
+    foot is at the apical end, and -(r c)^2 beyond.
+    """
+    gap = (leads.axial[pair[:, 1]] - leads.axial[pair[:, 0]])[:, None]
+    inner, sums = leads.inner, []
+    for k in pair.T:
+        cosine = np.cos(angle) * leads.cosine[k, None] + np.sin(angle) * leads.sine[k, None]
+        leaves = np.clip(inner / np.maximum(cosine, TINY), inner, radius)
+        clamped = inner**2 * (leaves**2 - inner**2) / 2 - 2 * inner * cosine * (leaves**3 - inner**3) / 3
+        sums.append(clamped - cosine**2 * (radius**4 - leaves**4) / 4)
+    half, lead = gap * (radius**2 - inner**2) / 4, (sums[1] - sums[0]) / (2 * gap)
+    return half + lead, half - lead
 
 
 def primitive(

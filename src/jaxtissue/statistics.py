@@ -8,10 +8,12 @@ import networkx as nx
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float
 
+from jaxtissue.cells import CellGeometry
 from jaxtissue.contacts import Contacts, find_contacts, find_faces
-from jaxtissue.edges import EdgeGraph, trace_edges
+from jaxtissue.edges import trace_edges
 from jaxtissue.inputs import as_positions
-from jaxtissue.leads import BOUNDS, Leads
+from jaxtissue.leads import Leads
+from jaxtissue.sizes import find_ends, traced_sizes
 from jaxtissue.transitions import CellForms, Transitions, find_forms, find_transitions
 from jaxtissue.tube import Tube
 
@@ -27,10 +29,11 @@ class Connectivity:
     transitions: Transitions
     forms: CellForms
     is_end: Bool[np.ndarray, " n"]  # the cell touches an end plane, x = 0 or x = L
+    sizes: CellGeometry | None  # of all cells, with their errors, in 64 bits; None where edges are missing
 
 
 def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold: float = 0.0) -> Connectivity:
-    """Contacts, transition points, forms and end cells of a tissue, its edges traced once, in float64.
+    """Contacts, transition points, forms, end cells and sizes of a tissue, its edges traced once, in float64.
 
     Positions as (axial, angle), [n, 2], in any form that `as_positions` takes; walls below `threshold`, a
     fraction of the mean wall, are no contacts, and leave the rest as it is. Raises `ValueError` for positions
@@ -49,7 +52,8 @@ def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold:
         find_contacts(place, tube, threshold, edges, faces),
         find_transitions(place, tube, edges, faces),
         find_forms(place, tube, edges, faces),
-        _find_ends(edges),
+        find_ends(edges),
+        traced_sizes(edges, faces, tube),
     )
 
 
@@ -159,13 +163,6 @@ def tissue_graph(connectivity: Connectivity, columns: Mapping[str, np.ndarray] |
     for (first, second), row in zip(contacts.pairs.tolist(), values, strict=True):
         graph.add_edge(first, second, **dict(zip(names, row, strict=True)))
     return graph
-
-
-def _find_ends(edges: EdgeGraph) -> Bool[np.ndarray, " n"]:
-    """Cells with an edge on an end plane."""
-    is_end = np.zeros(edges.cells + BOUNDS, bool)
-    is_end[edges.edge_labels[edges.edge_labels[:, 2] >= edges.cells + 2]] = True
-    return is_end[: edges.cells]
 
 
 def _mean(values: np.ndarray) -> float:

@@ -2,6 +2,7 @@
 
 import math
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,12 +14,13 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxtissue import io
-from jaxtissue.diagrams import measure_tissue
+from jaxtissue.diagrams import as_limits, doubts, measure_tissue
 from jaxtissue.energy import Model, cell_energies, require_finite
 from jaxtissue.exact import exact_cells
 from jaxtissue.files import replacing
 from jaxtissue.lines import PRESETS, Resolution
 from jaxtissue.names import printable
+from jaxtissue.refinement import plain
 from jaxtissue.spread import covering_radius, separation
 from jaxtissue.statistics import Connectivity, summarize_connectivity, tabulate_connectivity, tissue_graph
 from jaxtissue.tube import Tube
@@ -47,7 +49,12 @@ def tabulate_cells(
     axial, angle = np.asarray(positions).T
     positions = model.tube.reflect(jnp.asarray(positions))
     place = np.stack([axial, angle], axis=-1)
-    cells, overflow = measure_tissue(place, model.tube, resolution, tolerance=tolerance)
+    if connectivity is not None and connectivity.sizes is not None:
+        cells, overflow = plain(connectivity.sizes, jnp.result_type(float)), 0.0
+        for message in doubts(cells, model.tube, as_limits(tolerance)):
+            warnings.warn(message, stacklevel=2)
+    else:
+        cells, overflow = measure_tissue(place, model.tube, resolution, tolerance=tolerance)
     energy = np.asarray(cell_energies(cells, model))
     require_finite(energy, model)
     columns = {"cell": np.arange(len(axial)), "axial": axial, "angle": angle}
