@@ -1,4 +1,4 @@
-"""A module imports only modules that come before it: tissue, diagram, cells, energy, moves, people."""
+"""A module imports only modules that come before it: tissue, contacts, cells, energy, moves, people."""
 
 import ast
 from pathlib import Path
@@ -8,9 +8,10 @@ import pytest
 import jaxtissue
 
 TISSUE = ["cores", "modes", "backbones", "tube", "inputs", "sampling", "lines", "labels", "voronoi", "spread"]
-TISSUE += ["lowering", "views", "walls", "cells", "candidates", "shortlists", "sections", "adaptive"]
-TISSUE += ["refinement", "diagrams", "moments", "exact"]
-CONTACTS = ["leads", "fronts", "seeds", "edges", "rims", "contacts", "transitions", "statistics", "laws"]
+CONTACTS = ["leads", "fronts", "seeds", "edges", "rims", "contacts", "transitions", "sizes"]
+CELLS = ["lowering", "views", "walls", "cells", "candidates", "shortlists", "refinement"]
+CELLS += ["diagrams", "moments", "exact"]
+STATISTICS = ["statistics", "laws"]
 MOVES = ["energy", "coloring", "changes", "metropolis", "spans", "rounds", "records", "programs"]
 MOVES += ["schedules", "surveys", "anneal", "memory"]
 REPRODUCTION = ["workers", "tissues", "experiments", "ratios", "timings", "published", "figures"]
@@ -45,7 +46,7 @@ PEOPLE = [
     "arguments",
     "cli",
 ]  # may `import jaxtissue` as users do
-ORDER = TISSUE + CONTACTS + MOVES + PEOPLE
+ORDER = TISSUE + CONTACTS + CELLS + STATISTICS + MOVES + PEOPLE
 EXTRAS = {"tifffile", "skimage", "pyevtk", "pandas", "pyvista", "trimesh"}
 FOLDER = Path(jaxtissue.__file__).parent
 MODULES = sorted(path for path in FOLDER.rglob("*.py") if not path.stem.startswith("__"))

@@ -1,4 +1,4 @@
-"""Errors of measured cells, and finer rules where they are large, against the exact path."""
+"""Errors of measured cells, and what is done where they are large, against the exact path."""
 
 import warnings
 
@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 from conftest import read_reference
 
-from jaxtissue.adaptive import COARSE, FINE, NODES, measure_adaptively
+from jaxtissue import diagrams, refinement
 from jaxtissue.cells import CellGeometry
-from jaxtissue.contacts import find_contacts
 from jaxtissue.diagrams import doubts, measure_tissue
 from jaxtissue.exact import exact_cells
-from jaxtissue.inputs import as_positions
 from jaxtissue.refinement import LIMITS, near_twins
-from jaxtissue.sections import _root
+from jaxtissue.statistics import find_connectivity
 from jaxtissue.tube import Tube
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
@@ -50,13 +48,15 @@ AWKWARD = {
 def errors(cells: CellGeometry, volume: np.ndarray, area: np.ndarray) -> np.ndarray:
     """True errors of volume and lateral area of each cell, fractions of the mean cell, [2, n]."""
     found = (np.asarray(cells.volume, float), np.asarray(cells.lateral_area, float))
-    return np.stack([np.abs(f - e) / e.mean() for f, e in zip(found, (volume, area), strict=True)])
+    return np.stack([np.abs(f - e) / max(e.mean(), 1e-9) for f, e in zip(found, (volume, area), strict=True)])
 
 
 def estimates(cells: CellGeometry, volume: np.ndarray, area: np.ndarray) -> np.ndarray:
     """The errors that come with the cells, likewise."""
     told = (cells.volume_error, cells.lateral_area_error)
-    return np.stack([np.asarray(t, float) / e.mean() for t, e in zip(told, (volume, area), strict=True)])
+    return np.stack(
+        [np.asarray(t, float) / max(e.mean(), 1e-9) for t, e in zip(told, (volume, area), strict=True)]
+    )
 
 
 @pytest.mark.parametrize("case", AWKWARD)
@@ -70,24 +70,6 @@ def test_awkward_cells_are_right_without_a_word(case: str) -> None:
     assert off[0].max() < LIMITS[0] and off[1].max() < LIMITS[1]
 
 
-@pytest.mark.parametrize("case", AWKWARD)
-def test_adaptive_cells_are_the_exact_paths(case: str) -> None:
-    tube, positions = AWKWARD[case]
-    place = as_positions(positions, tube, float)
-    n, exact = len(place), exact_cells(place, tube, 200)
-    everyone = np.broadcast_to(np.arange(n), (n, n))
-    cells = measure_adaptively(place, tube, np.arange(n), everyone, (1e-4, 1e-3))
-    assert np.abs(cells.volume - exact.volume).max() < 2e-4 * exact.volume.mean()
-    # areas by contacts: the exact path's are off by 0.5 % where backbones are 1e-4 apart
-    contacts, area = find_contacts(place, tube), np.zeros(n)
-    np.add.at(area, contacts.pairs.ravel(), np.repeat(contacts.area, 2))
-    assert np.abs(cells.lateral_area - area).max() < 2e-3 * area.mean()
-    assert cells.volume.sum() == pytest.approx(tube.volume, rel=1e-4)
-    for areas, radius in ((cells.apical_area, tube.apical_radius), (cells.basal_area, tube.basal_radius)):
-        assert areas.sum() == pytest.approx(2 * np.pi * radius * tube.length, rel=1e-9)
-        assert areas.min() > 0  # each cell reaches both surfaces
-
-
 @pytest.mark.parametrize("name", ["paper_Ra5", "ratio10_n100", "bluenoise_ratio10"])
 def test_estimates_bound_the_errors_and_are_not_far_above(name: str) -> None:
     ref = read_reference(name)
@@ -99,52 +81,41 @@ def test_estimates_bound_the_errors_and_are_not_far_above(name: str) -> None:
         assert np.median(bound / np.maximum(true, 1e-9)) < 5
 
 
-@pytest.mark.parametrize("name", ["near_coincident", "n2"])
-def test_a_tolerance_is_met_by_every_cell(name: str) -> None:
-    ref = read_reference(name)
-    cells, _ = measure_tissue(ref.positions, ref.tube, "draft", tolerance=1e-3)
+def test_a_tolerance_is_met_by_every_cell(reference) -> None:
+    volume, area = reference.data["V"], reference.data["lateral"]
+    cells, _ = measure_tissue(reference.positions, reference.tube, "draft", tolerance=1e-3)
+    off = errors(cells, volume, area)
+    # the reference's own areas are off by up to 1.1e-3, as contacts and the exact path agree
+    assert off[0].max() < 2e-5 and off[1].max() < 1.2e-3
+    assert estimates(cells, volume, area).max() <= 1e-3
+
+
+def test_doubtful_cells_of_a_large_tissue_are_traced_among_their_candidates() -> None:
+    ref = read_reference("ratio10_n100")
+    place = ref.positions.copy()
+    place[1] = place[0] + 1e-5  # float32 tells them apart by a few of its steps
+    cells, _ = measure_tissue(place, ref.tube)
+    exact = find_connectivity(place, ref.tube).sizes
+    assert exact is not None
+    off = errors(cells, exact.volume, exact.lateral_area)
+    assert off[0].max() < LIMITS[0] and off[1].max() < LIMITS[1]
+    assert off[:, :2].max() < 1e-6
+
+
+def test_what_can_not_be_traced_is_measured_by_rules_and_said_to_be_doubtful(monkeypatch) -> None:
+    ref = read_reference("ratio10_n100")
+    monkeypatch.setattr(diagrams, "trace_sizes", lambda *_: None)
+    monkeypatch.setattr(refinement, "trace_sizes", lambda *_: None)
+    with pytest.warns(UserWarning, match=r"lateral area of \d+ of 100 cells may be off by more than 0.1 %"):
+        cells, _ = measure_tissue(ref.positions, ref.tube, tolerance=1e-3)
     off = errors(cells, ref.data["V"], ref.data["lateral"])
-    # the reference's own areas are off by up to 1e-3, as contacts and adaptive cells agree
-    assert off[0].max() < 1e-3 and off[1].max() < 2e-3
-    assert estimates(cells, ref.data["V"], ref.data["lateral"]).max() <= 1.001e-3
+    assert 1e-5 < off.max() < LIMITS[1]
 
 
 def test_a_tolerance_that_is_none_is_refused() -> None:
     for tolerance in (0, -1e-3, float("nan")):
         with pytest.raises(ValueError, match="tolerance="):
             measure_tissue([[5, 1]], Tube(10, 1, 3), tolerance=tolerance)
-
-
-def test_adaptive_cells_turn_mirror_and_scale_with_the_tissue() -> None:
-    n = 9
-    place = np.random.default_rng(0).random((n, 2)) * [10, 2 * np.pi]
-    everyone = np.broadcast_to(np.arange(n), (n, n))
-
-    def sizes(positions: np.ndarray, scale: float = 1.0) -> np.ndarray:
-        wide = Tube(10 * scale, scale, 3 * scale)
-        found = measure_adaptively(
-            positions, wide, np.arange(n), everyone, (1e-2 * scale**3, 1e-1 * scale**2)
-        )
-        return np.stack([found.volume / scale**3, found.lateral_area / scale**2])
-
-    plain = sizes(place)
-    for other in (place + np.array([0, 2]), place * [1, -1], np.array([10, 0]) + place * [-1, 1]):
-        np.testing.assert_allclose(sizes(other), plain, rtol=1e-6)
-    np.testing.assert_allclose(sizes(place * [1e3, 1], 1e3), plain, rtol=1e-6)
-
-
-def test_rules_over_the_radius_are_gausss_and_kronrods() -> None:
-    for degree in range(23):
-        exact = 0 if degree % 2 else 1 / (degree + 1)
-        assert NODES**degree @ FINE == pytest.approx(exact, abs=1e-14)
-        if degree < 14:
-            assert NODES**degree @ COARSE == pytest.approx(exact, abs=1e-14)
-
-
-def test_roots_are_found_to_rounding() -> None:
-    target = np.array([0.1, 0.5, 1e-9, 0.999])
-    root = _root(lambda at: np.sin(at) - np.sin(target), np.zeros(4), np.ones(4))
-    np.testing.assert_allclose(root, target, rtol=1e-14)
 
 
 def test_near_twins_are_those_that_rounding_moves() -> None:

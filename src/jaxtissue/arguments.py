@@ -131,10 +131,11 @@ def _add_sweep(command: argparse.ArgumentParser) -> None:
 
 def _add_measure(command: argparse.ArgumentParser) -> None:
     size = _number(0)
-    command.add_argument("--resolution", type=_resolution, default="standard", metavar="NAME",
-                         help="draft, standard, fine or LAYERSxDENSITY (default: standard)")  # fmt: skip
-    command.add_argument("--tolerance", type=_number(0, above=True), metavar="T", help="measure each cell "
-                         "until its volume and lateral area are within T mean cells, as 0.001")  # fmt: skip
+    command.add_argument("--resolution", type=_resolution, default="standard", metavar="NAME", help=
+                         "of --no-contacts: draft, standard, fine or LAYERSxDENSITY (default: standard); "
+                         "otherwise sizes are of the traced edges")  # fmt: skip
+    command.add_argument("--tolerance", type=_number(0, above=True), metavar="T", help="have volumes and "
+                         "areas within T mean cells, as 0.001, or be told where they may not be")  # fmt: skip
     for name, metavar in (("modulus", "K"), ("tension", "LAMBDA")):
         default = getattr(Settings, name)
         text = f"in the energy (default: {default})"

@@ -70,7 +70,7 @@ def measure_tissue(
     closely = refine and (n <= FEW_CELLS or min(limits) < min(LIMITS))
     traced = trace_sizes(given, tube) if closely else None
     if traced is not None:
-        cells = plain(traced, jnp.result_type(float), surfaces)
+        cells = plain(traced._asdict(), jnp.result_type(float), surfaces)
     else:
         place = as_positions(positions, tube, sizes=not refine)
         sides, (defect, is_far) = complete_lists(place, tube)

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -51,21 +51,17 @@ def measure_refined(
     sizes, open_ = measure_by_rules(tissue, resolution, surfaces, limits)
     if len(open_):
         traced = trace_sizes(tissue.given, tissue.tube, open_, tissue.sides[open_])
-        found = _on_host(traced) if traced is not None else {}
+        found = traced._asdict() if traced is not None else {}
         for name in found.keys() & sizes.keys():
             sizes[name][open_] = found[name]
     return plain(sizes, tissue.positions.dtype)
 
 
-def plain(sizes: CellGeometry | dict[str, np.ndarray], dtype: Any, surfaces: bool = True) -> CellGeometry:
-    """The sizes in a precision, on the device, with or without those on the surfaces."""
-    columns = _on_host(sizes) if isinstance(sizes, CellGeometry) else sizes
-
-    def placed(column: np.ndarray) -> Array:
-        return jnp.asarray(column if column.dtype == bool else column.astype(dtype))
-
-    kept = {name: column for name, column in columns.items() if surfaces or name not in ON_SURFACES}
-    return CellGeometry(**{name: placed(column) for name, column in kept.items()})
+def plain(sizes: Mapping[str, np.ndarray], dtype: Any, surfaces: bool = True) -> CellGeometry:
+    """The columns as sizes in a precision, with or without those on the surfaces."""
+    kept = {name: column for name, column in sizes.items() if surfaces or name not in ON_SURFACES}
+    exact = {name: column if column.dtype == bool else column.astype(dtype) for name, column in kept.items()}
+    return CellGeometry(**{name: jnp.asarray(column) for name, column in exact.items()})
 
 
 def measure_by_rules(

@@ -8,12 +8,11 @@ import networkx as nx
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float
 
-from jaxtissue.cells import CellGeometry
 from jaxtissue.contacts import Contacts, find_contacts, find_faces
 from jaxtissue.edges import trace_edges
 from jaxtissue.inputs import as_positions
 from jaxtissue.leads import Leads
-from jaxtissue.sizes import find_ends, traced_sizes
+from jaxtissue.sizes import TracedSizes, find_ends, traced_sizes
 from jaxtissue.transitions import CellForms, Transitions, find_forms, find_transitions
 from jaxtissue.tube import Tube
 
@@ -29,7 +28,7 @@ class Connectivity:
     transitions: Transitions
     forms: CellForms
     is_end: Bool[np.ndarray, " n"]  # the cell touches an end plane, x = 0 or x = L
-    sizes: CellGeometry | None  # of all cells, with their errors, in 64 bits; None where edges are missing
+    sizes: TracedSizes | None = None  # of all cells, in 64 bits; None where edges are missing
 
 
 def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold: float = 0.0) -> Connectivity:

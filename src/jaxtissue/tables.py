@@ -50,7 +50,7 @@ def tabulate_cells(
     positions = model.tube.reflect(jnp.asarray(positions))
     place = np.stack([axial, angle], axis=-1)
     if connectivity is not None and connectivity.sizes is not None:
-        cells, overflow = plain(connectivity.sizes, jnp.result_type(float)), 0.0
+        cells, overflow = plain(connectivity.sizes._asdict(), jnp.result_type(float)), 0.0
         for message in doubts(cells, model.tube, as_limits(tolerance)):
             warnings.warn(message, stacklevel=2)
     else:
