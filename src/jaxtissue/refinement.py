@@ -25,6 +25,7 @@ FINER = 1.7, 2.0  # factors of layers and density from one rule to the next
 SAFETY = 2.0  # of the difference of two rules, so that it bounds the error of the coarser one
 NARROW = 4.0  # times its longest line by which a cell may end before the next line and counts as narrow
 CARE = 4.0  # more safety for narrow cells, on which two rules may err alike
+SMALL = 0.01  # of the mean volume: lines may miss such cells twice, and what those around lose to them
 FEW_CELLS = 64  # of a tissue that is traced as a whole
 SUMS = 1e-3  # of the mean cell by which volumes may miss the tube's beyond their errors
 COARSE = 3000  # rounding errors of a coordinate by which backbones differ that lines can measure
@@ -67,7 +68,7 @@ def plain(sizes: Mapping[str, np.ndarray], dtype: Any, surfaces: bool = True) ->
 def measure_by_rules(
     tissue: Tissue, resolution: Resolution, surfaces: bool, limits: tuple[float, float]
 ) -> tuple[dict[str, np.ndarray], Int[np.ndarray, " cells"]]:
-    """Sizes of all cells with their errors, and the cells that are left beyond the limits.
+    """Sizes of all cells with their errors, and the cells that may be beyond the limits.
 
     All are measured by the rule of the `resolution` and by a finer one. Twice the difference, and its median
     over the cells, bound the error of the first. Cells on which this is beyond a limit, a fraction of the
@@ -90,7 +91,9 @@ def measure_by_rules(
     for name, column in finely.items():
         sizes[name] = np.where(keeps, sizes[name], column)
     sizes |= {"volume_error": error[0], "lateral_area_error": error[1]}
-    open_ = np.flatnonzero(~(error <= allowed).all(axis=0))
+    small = sizes["volume"] < SMALL * mean[0]
+    crowd = np.append(np.flatnonzero(small), tissue.sides[small])
+    open_ = np.append(np.flatnonzero(~(error <= allowed).all(axis=0)), crowd)
     return sizes, np.union1d(open_, near_twins(tissue.positions, tissue.tube))
 
 
