@@ -38,9 +38,10 @@ SWEEPS = 203  # no whole number of spans: the rows at the end are not in the che
 RUN = ["anneal", *TUBE, "--seed", "3", "--sweeps", str(SWEEPS)]
 GRID = ["sweep", *TUBE, "--seed", "3", "4", "--sweeps", "2"]
 COMPARED = ("initial_backbones.csv", "sweeps.csv", "backbones.csv", "cells.csv")
-MANY = {"checkpoint.npz": 4.0, "sweeps.csv": 3.0}  # shares of the flips; the others have 1
-SLOW = {"table.csv": 0.2, "energy.png": 0.2}  # of a grid: they are written anew each time
-FINISHED_ANEW = 40  # every so many flips in a finished run it is to be finished again
+SHARES = {"whole": {"checkpoint.npz": 4.0, "sweeps.csv": 3.0}}  # of the flips; the others have 1
+SHARES["killed"] = {"checkpoint.npz": 4.0, "sweeps.csv": 0.4}  # rows past the checkpoint are played again
+SHARES["grid"] = {"table.csv": 0.2, "energy.png": 0.2}  # both are written anew each time
+FINISHED_ANEW = 70  # every so many flips in a finished run it is to be finished again
 Told = tuple[int | str, str]  # exit code, or "traceback", and stderr
 
 
@@ -114,7 +115,8 @@ def kills(count: int, place: Path) -> dict[str, Any]:
     assert wait(start(place / "log", *run, "--out", str(whole))) == 0
     life, rng = time.monotonic() - begin, np.random.default_rng(0)
     folders = [place / f"run{number}" for number in range(count)]
-    for folder, at in zip(folders, rng.permutation((np.arange(count) + rng.random(count)) / count), strict=True):
+    moments_of_life = rng.permutation((np.arange(count) + rng.random(count)) / count)
+    for folder, at in zip(folders, moments_of_life, strict=True):
         process = start(folder.with_suffix(".log"), *run, "--out", str(folder))
         time.sleep(life * at)
         os.kill(process, signal.SIGKILL)
@@ -142,7 +144,8 @@ def outcome(told: Told, is_same: bool) -> str:
 
 def kill_after_checkpoint(folder: Path) -> None:
     """Leave in a folder what a run leaves that is killed soon after its second checkpoint."""
-    process, checkpoint = start(folder.with_suffix(".log"), *RUN, "--out", str(folder)), folder / "checkpoint.npz"
+    checkpoint = folder / "checkpoint.npz"
+    process = start(folder.with_suffix(".log"), *RUN, "--out", str(folder))
     seen = set()
     while len(seen) < 2:
         with contextlib.suppress(OSError):
@@ -161,22 +164,24 @@ def flips(count: int, place: Path) -> dict[str, Any]:
     kill_after_checkpoint(killed)
     for done, arguments in ((whole, RUN), (grid, GRID)):
         assert tell(*arguments, "--out", str(done))[0] == 0
-    resume = ["anneal", "--resume"]
     results: dict[str, Counter[str]] = {}
+    total: Counter[str] = Counter({"refused": 0, "rewritten": 0, "silent": 0, "traceback": 0})
     for folder, arguments, right, share in (
-        (whole, resume, whole, 0.5), (killed, resume, whole, 0.35), (grid, GRID, grid, 0.15)
-    ):  # fmt: skip
-        files = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file() and path.name != LOCK)
-        shares = [MANY.get(path.name, SLOW.get(path.name, 1.0) if folder == grid else 1.0) for path in files]
+        (whole, ["anneal", "--resume"], whole, 0.5),
+        (killed, ["anneal", "--resume"], whole, 0.35),
+        (grid, GRID, grid, 0.15),
+    ):
+        paths = [path.relative_to(folder) for path in sorted(folder.rglob("*")) if path.is_file()]
+        paths.remove(Path(LOCK)) if Path(LOCK) in paths else None
+        shares = [SHARES[folder.name].get(path.name, 1.0) for path in paths]
         counts = np.diff(np.round(np.cumsum([0, *shares]) / sum(shares) * share * count)).astype(int)
-        for path, some in zip(files, counts, strict=True):
+        for path, some in zip(paths, counts, strict=True):
             trial = Trial(folder, right, path, arguments)
             found = Counter(trial.flip(number) for number in range(some))
-            results[f"{folder.name}/{path if folder != grid else path.parent / ('*' + path.suffix)}"] = found + results.get(
-                f"{folder.name}/{path if folder != grid else path.parent / ('*' + path.suffix)}", Counter()
-            )
+            kind = path.parent / f"*{path.suffix}" if path.parent.name else path
+            results.setdefault(f"{folder.name}/{kind}", Counter()).update(found)
+            total.update(found)
             print(folder.name, path, dict(found), flush=True)
-    total = sum(results.values(), Counter({"refused": 0, "rewritten": 0, "silent": 0, "traceback": 0}))
     return {"flips": total.total(), "results": total, "files": results}
 
 
@@ -192,7 +197,11 @@ class Trial:
         self._renew()
 
     def _grid_names(self) -> list[str]:
-        return ["table.csv", "energy.png", *(f"backbones/{at.name}" for at in (self.right / "backbones").iterdir())]
+        return [
+            "table.csv",
+            "energy.png",
+            *(f"backbones/{at.name}" for at in (self.right / "backbones").iterdir()),
+        ]
 
     def _renew(self) -> None:
         shutil.rmtree(self.copy, ignore_errors=True)
@@ -204,9 +213,7 @@ class Trial:
         damaged = bytearray(kept)
         damaged[self.rng.integers(len(kept))] ^= 1 << int(self.rng.integers(8))
         path.write_bytes(damaged)
-        again = ["--finish"] if self.folder == self.right and number % FINISHED_ANEW == 0 else []
-        if self.arguments[0] == "sweep":
-            again = []
+        again = ["--finish"] if self.folder.name == "whole" and number % FINISHED_ANEW == 0 else []
         told = tell(*self.arguments, "--out", str(self.copy), *again)
         result = self._judge(told, path, bytes(damaged))
         if result != "refused":
@@ -266,7 +273,9 @@ def main() -> None:
     parser = common.options((__doc__ or "").split("\n")[0], "robustness")
     parser.add_argument("--alone", choices=PARTS, help="run one part here and print what was found")
     for name, (_, count) in PARTS.items():
-        parser.add_argument(f"--{name.replace('_', '-')}", type=int, default=count, help=f"{count} unless given")
+        parser.add_argument(
+            f"--{name.replace('_', '-')}", type=int, default=count, help=f"{count} unless given"
+        )
     arguments = parser.parse_args()
     if arguments.alone:
         with tempfile.TemporaryDirectory() as place:
