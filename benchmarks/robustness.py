@@ -3,7 +3,7 @@
 Kills at random moments of a process's life after its imports, single bits flipped in every file of a run, of
 one that was killed and of a grid, and commands beside a live one in its folder. Results are compared to the
 byte, but for seconds. Commands are forked off or played in this process, which has all imported already.
-With JAX_COMPILATION_CACHE_DIR set and JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0 they compile next to nothing.
+With JAX_COMPILATION_CACHE_DIR set and JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0 little is compiled.
 """
 
 import contextlib

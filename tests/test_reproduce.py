@@ -9,6 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from jaxtissue.cli import main
+from jaxtissue.files import write_sealed
 from jaxtissue.locks import alone
 from jaxtissue.reproduction import experiments, reproduce, timings, tissues
 from jaxtissue.reproduction.experiments import QUICK, Plan, Store, measure_runs, measure_volumes
@@ -81,6 +82,9 @@ def test_a_folder_with_other_files_is_left_alone(tmp_path, capsys):
     assert "a reproduction is under way" in capsys.readouterr().err
     (tmp_path / "manifest.json").write_text("[]")
     assert main(["reproduce", "fig7", "--quick", "--out", str(tmp_path)]) == 2
+    write_sealed(tmp_path / "manifest.json", {"format": 1})  # as another command's
+    assert main(["reproduce", "fig7", "--quick", "--out", str(tmp_path), "--force"]) == 2
+    assert "no manifest of this command" in capsys.readouterr().err
 
 
 def test_what_was_finished_before_a_stop_is_kept(tmp_path, monkeypatch):
@@ -137,11 +141,10 @@ def test_what_another_version_kept_is_computed_anew(store, monkeypatch, tmp_path
     monkeypatch.setattr(experiments, "FORMAT", experiments.FORMAT + 1)
     store.histories(annealing, [0, 1]), store.histories(annealing, [0])
     assert asked == [0, 0, 1] and store.row("one", lambda: {"value": 2})["value"] == 2
-    (store.folder / "one.json").write_text('{"value": 3}')  # as before there were versions
-    assert store.row("one", lambda: {"value": 4})["value"] == 4
-    (store.folder / "one.json").write_text("{")
-    with pytest.raises(ValueError, match="damaged"):
-        store.row("one", lambda: {"value": 5})
+    for text in ("{", '{"format": 9, "row": {"value": 3}}'):
+        (store.folder / "one.json").write_text(text)
+        with pytest.raises(ValueError, match="damaged"):
+            store.row("one", lambda: {"value": 5})
     made = []
     monkeypatch.setattr(
         reproduce, "ITEMS", {"fig7": lambda *_: made.append(1) or Product({"": {"x": np.zeros(2)}}, Figure())}
@@ -151,6 +154,66 @@ def test_what_another_version_kept_is_computed_anew(store, monkeypatch, tmp_path
         monkeypatch.setattr(reproduce, "FORMAT", version)
         reproduce.reproduce(tmp_path / "out", ["fig7"], QUICK)
     assert len(made) == 2 and "another version" in capsys.readouterr().err
+
+
+def test_a_folder_of_before_there_were_checksums_is_made_anew(tmp_path, monkeypatch, capsys):
+    folder, made = tmp_path / "out", []
+
+    def one(plan, store):
+        """One."""
+        made.append(store.row("one", lambda: {"value": 4})["value"])
+        return Product({"": {"x": np.zeros(2)}}, Figure())
+
+    monkeypatch.setattr(reproduce, "ITEMS", {"fig7": one})
+    (folder / "data").mkdir(parents=True)
+    (folder / "data/one.json").write_text('{"format": 9, "row": {"value": 3}}')
+    (folder / "manifest.json").write_text('{"format": 9, "plan": {}, "items": {"fig7": {"files": []}}}')
+    reproduce.reproduce(folder, ["fig7"], QUICK)
+    assert made == [4] and "another version" in capsys.readouterr().err
+
+
+def test_a_damaged_file_is_told_in_one_line_with_the_cure(tmp_path, monkeypatch, capsys):
+    folder, made = tmp_path / "out", []
+
+    def one(plan, store):
+        """One."""
+        made.append(store.row("one", lambda: {"value": 1})["value"])
+        run = store.histories(TINY.annealing(5.0), [0])[0]
+        return Product({"": {"x": run.positions.ravel()}}, Figure())
+
+    monkeypatch.setattr(experiments, "anneal_history", made_up)
+    monkeypatch.setattr(reproduce, "ITEMS", {"fig7": one})
+    command = ["reproduce", "fig7", "--quick", "--out", str(folder)]
+    assert main(command) == 0
+    shown = [folder / name for name in ("fig7.csv", "fig7.png", "manifest.json")]
+    rng = np.random.default_rng(0)
+    for path in (*shown, *(folder / "data").iterdir()):
+        kept = path.read_bytes()
+        if path not in shown:  # they are read where the item is made again
+            (folder / "fig7.csv").rename(tmp_path / "fig7.csv")
+        for byte, bit in zip(rng.integers(len(kept), size=9), rng.integers(8, size=9), strict=True):
+            damaged = bytearray(kept)
+            damaged[byte] ^= 1 << bit
+            path.write_bytes(damaged)
+            capsys.readouterr()
+            assert main(command) == 2
+            *_, error = capsys.readouterr().err.splitlines()
+            cure = "add --force" if path.name == "manifest.json" else "remove it"
+            assert f"{path.name} is damaged" in error and cure in error
+        path.unlink() if path.name != "manifest.json" else path.write_bytes(kept)
+        assert main(command) == 0  # what is removed is made again
+    (folder / "manifest.json").write_text("{")
+    assert main([*command, "--force"]) == 0 and set(made) == {1}
+
+
+def test_a_link_in_place_of_the_data_is_not_followed(tmp_path, capsys):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/data").symlink_to(tmp_path / "elsewhere")
+    assert main(["reproduce", "fig5", "--quick", "--force", "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert "data is a symbolic link" in error and error.count("\n") == 1
+    assert not list((tmp_path / "elsewhere").iterdir())
 
 
 def test_names_of_histories_tell_apart_all_that_differs():

@@ -54,10 +54,15 @@ def make_folder(folder: Path, outdated: Sequence[str] = ()) -> None:
         raise ValueError(message) from error
 
 
+def refuse_link(path: Path) -> None:
+    """Raise `ValueError` for a link."""
+    if path.is_symlink():
+        raise ValueError(f"{path} is a symbolic link, which is not followed; remove it")
+
+
 def make_subfolder(folder: Path) -> None:
     """Make a folder within an output folder. Raises `ValueError` where a link stands in its place."""
-    if folder.is_symlink():
-        raise ValueError(f"{folder} is a symbolic link, which is not followed; remove it")
+    refuse_link(folder)
     make_folder(folder)
 
 
@@ -95,8 +100,7 @@ def open_own(path: Path, mode: str, flags: int = 0) -> IO[Any]:
 
     Raises `ValueError` for a link.
     """
-    if path.is_symlink():
-        raise ValueError(f"{path} is a symbolic link, which is not followed; remove it")
+    refuse_link(path)
     encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
 
     def opener(name: str, usual: int) -> int:

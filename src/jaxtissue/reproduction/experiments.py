@@ -1,7 +1,5 @@
 """The experiments behind the paper's figures, as tables; what took time to compute is kept in a folder."""
 
-import json
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtissue.diagrams import measure_tissue
-from jaxtissue.files import replacing, write_json
+from jaxtissue.files import (
+    load_arrays,
+    make_subfolder,
+    read_sealed,
+    refuse_link,
+    save_arrays,
+    write_sealed,
+)
 from jaxtissue.reproduction.tissues import Annealing, History, anneal_history
 from jaxtissue.reproduction.workers import Workers
 from jaxtissue.spread import covering_radius, separation
@@ -20,7 +25,8 @@ from jaxtissue.tube import Tube
 Table = dict[str, np.ndarray]
 THRESHOLDS = (0.0, 0.01, 0.02, 0.05)  # smallest walls counted, in mean walls
 BASAL_RADIUS = 10.0
-FORMAT = 9  # of what is kept in a folder; raised when other code would compute other values
+FORMAT = 10  # of what a folder keeps; raised when other code would compute other values, or read it otherwise
+AGAIN = "remove it, and it is computed again"
 
 
 @dataclass(frozen=True)
@@ -67,8 +73,8 @@ QUICK = Plan(
 class Store:
     """What experiments share, in a folder: a run that is stopped takes up there.
 
-    `fresh` forgets the old; what has another `FORMAT` is computed anew. Damaged files raise `ValueError`.
-    `workers` compute what there is more than one of.
+    `fresh` forgets the old; what has another `FORMAT` is computed anew. Damaged files raise `ValueError`,
+    as does a link in the folder's place. `workers` compute what there is more than one of.
     """
 
     folder: Path
@@ -76,6 +82,9 @@ class Store:
     fresh: bool = False
     workers: Workers = field(default_factory=Workers)
     renewed: set[Path] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        refuse_link(self.folder)
 
     def _is_usable(self, path: Path) -> bool:
         return path.exists() and (not self.fresh or path in self.renewed)
@@ -104,11 +113,11 @@ class Store:
 
     def _keep_row(self, name: str, row: dict[str, Any]) -> dict[str, Any]:
         """The row as it is found from now on."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_subfolder(self.folder)
         path = self.folder / f"{name}.json"
-        write_json(path, {"format": FORMAT, "row": row})
+        write_sealed(path, {"format": FORMAT, "row": row})
         self.renewed.add(path)
-        return json.loads(path.read_text(encoding="utf-8"))["row"]
+        return read_sealed(path, AGAIN)["row"]
 
     def histories(self, annealing: Annealing, seeds: Sequence[int]) -> list[History]:
         """One annealing run for each seed, as by `anneal`."""
@@ -120,14 +129,12 @@ class Store:
         runs = [_load_history(path) if self._is_usable(path) else None for path in paths]
         missing = [at for at, run in enumerate(runs) if run is None]
         if missing:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            make_subfolder(self.folder)
             self.say(f"tissues to anneal: {len(missing)}")
         calls, done = [wanted[at] for at in missing], 0
         for number, history in self.workers.run(anneal_history, calls):
             path, done = paths[missing[number]], done + 1
-            columns: dict[str, Any] = {"format": FORMAT, "positions": history.positions}
-            with replacing(path, "wb") as file:
-                np.savez(file, allow_pickle=False, **columns, **history.records)
+            save_arrays(path, {"format": FORMAT, "positions": history.positions} | history.records)
             self.renewed.add(path)
             self.say(f"annealed {path.stem.replace('_', ' ')} ({done} of {len(missing)})")
             runs[missing[number]] = history
@@ -136,23 +143,16 @@ class Store:
 
 def _load_history(path: Path) -> History | None:
     """The history in a file, none where it has another format."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            columns = dict(file)
-        if columns.pop("format", 0) != FORMAT:
-            return None
-        return History(columns, columns.pop("positions"))
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is damaged ({error}); remove it") from error
+    columns = load_arrays(path, AGAIN)
+    if columns.pop("format", 0) != FORMAT:
+        return None
+    return History(columns, columns.pop("positions"))
 
 
 def _load_row(path: Path) -> dict[str, Any] | None:
     """The row in a file, none where it has another format."""
-    try:
-        kept = json.loads(path.read_text(encoding="utf-8"))
-        return kept["row"] if kept.get("format") == FORMAT else None
-    except (ValueError, KeyError, AttributeError) as error:
-        raise ValueError(f"{path} is damaged ({error}); remove it") from error
+    kept = read_sealed(path, AGAIN)
+    return kept["row"] if kept.get("format") == FORMAT else None
 
 
 def tabulate(rows: Sequence[dict[str, Any]]) -> Table:

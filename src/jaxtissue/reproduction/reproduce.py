@@ -12,7 +12,15 @@ from typing import Any
 import numpy as np
 
 from jaxtissue import io
-from jaxtissue.files import is_empty, make_folder, replacing, write_json
+from jaxtissue.files import (
+    check_files,
+    checksum,
+    is_empty,
+    make_folder,
+    read_sealed,
+    replacing,
+    write_sealed,
+)
 from jaxtissue.plot import save_figure
 from jaxtissue.reproduction.claims import Claim
 from jaxtissue.reproduction.experiments import FORMAT, QUICK, Plan, Store, Table
@@ -20,6 +28,8 @@ from jaxtissue.reproduction.items import ITEMS, Product
 from jaxtissue.reproduction.report import judge_items, write_report
 from jaxtissue.reproduction.workers import Workers
 from jaxtissue.settings import now, provenance
+
+_OWN = {"plan", "items"}  # only manifests of this command have them
 
 
 def choose_items(names: Sequence[str]) -> list[str]:
@@ -49,10 +59,10 @@ def reproduce(
 
     Items that are there already are left as they are unless forced; a run that is stopped takes up at the
     tissue it was at. `workers` share the work, where there are any. Raises `ValueError` for a folder that
-    another plan has filled or that can't be written.
+    another plan has filled, that is damaged (unless forced) or that can't be written.
     """
-    manifest = _open(folder, plan, force)
     store = Store(folder / "data", lambda text: _say(f"  {text}"), fresh=force, workers=workers or Workers())
+    manifest = _open(folder, plan, force)
     for item in items:
         if item in manifest["items"] and not force:
             _say(f"{item} is there already; --force makes it anew")
@@ -62,7 +72,7 @@ def reproduce(
         files = _write(folder, item, ITEMS[item](plan, store))
         seconds = time.perf_counter() - begun
         manifest["items"][item] = {"seconds": seconds, "finished": now(), "files": files} | provenance()
-        write_json(folder / "manifest.json", manifest)
+        write_sealed(folder / "manifest.json", manifest)
         _say(f"{item} done in {seconds:.1f} s")
         _report(folder, plan, manifest)
     _report(folder, plan, manifest)
@@ -76,42 +86,81 @@ def _open(folder: Path, plan: Plan, force: bool) -> dict[str, Any]:
     if folder.exists() and not path.exists() and not is_empty(folder) and not force:
         raise ValueError(f"the output folder {folder} holds other files; choose another or add --force")
     manifest: dict[str, Any] = {"format": FORMAT, "plan": arguments, "items": {}}
-    if path.exists():
-        try:
-            saved = json.loads(path.read_text(encoding="utf-8"))
-            whole = {name: item for name, item in saved["items"].items() if _is_whole(folder, item)}
-            planned = saved["plan"]
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ValueError(
-                f"{path} is no manifest of this command ({error}); choose another folder"
-            ) from error
-        if saved.get("format") != FORMAT:
+    saved = _read_manifest(path, force) if path.exists() else manifest
+    planned: dict[str, Any] = saved.get("plan", {})
+    if saved.get("format") != FORMAT:
+        if not force:
             _say(f"{folder} was filled by another version; all that is asked for is made anew")
-        elif planned == arguments:
-            manifest["items"] = whole
-        elif not force:
-            kind = "--quick" if planned.get("quick") else "full"
-            other = next((name for name in arguments if planned.get(name) != arguments[name]), "quick")
-            found = f"{folder} holds a {kind} run with {other} = {planned.get(other)}, not {arguments[other]}"
-            raise ValueError(f"{found}; choose another or add --force")
+        _forget(folder / "data")
+    elif planned == arguments:
+        whole = {name: item for name, item in saved["items"].items() if _is_whole(folder, name, item, force)}
+        manifest["items"] = whole
+    elif not force:
+        kind = "--quick" if planned.get("quick") else "full"
+        other = next((name for name in arguments if planned.get(name) != arguments[name]), "quick")
+        found = f"{folder} holds a {kind} run with {other} = {planned.get(other)}, not {arguments[other]}"
+        raise ValueError(f"{found}; choose another or add --force")
     make_folder(folder)
-    write_json(path, manifest)  # whoever is stopped at the first item finds the folder theirs
+    write_sealed(path, manifest)  # whoever is stopped at the first item finds the folder theirs
     return manifest
 
 
-def _is_whole(folder: Path, item: dict[str, Any]) -> bool:
-    return all((folder / name).is_file() for name in item["files"])
+def _read_manifest(path: Path, force: bool) -> dict[str, Any]:
+    """What a manifest holds; one of before there were checksums has another format, and no more is read.
+
+    Raises `ValueError` for that of another command, and for a damaged one; if forced, this counts as one of
+    another format.
+    """
+    try:
+        saved = read_sealed(path, "choose another folder or add --force")
+    except ValueError:
+        if force or _is_of_before(path):
+            return {}
+        raise
+    if not saved.keys() >= _OWN:
+        raise ValueError(f"{path} is no manifest of this command; choose another folder")
+    return saved
 
 
-def _write(folder: Path, item: str, product: Product) -> list[str]:
-    """The names of the files written."""
-    files = []
+def _is_of_before(path: Path) -> bool:
+    """Whether a manifest is without a checksum since another version wrote it, not by damage."""
+    try:
+        saved = json.loads(path.read_bytes())
+    except ValueError:
+        return False
+    if not (isinstance(saved, dict) and saved.keys() >= {*_OWN, "format"}):
+        return False
+    return "checksum" not in saved and saved["format"] != FORMAT
+
+
+def _forget(data: Path) -> None:
+    """Remove what another version kept, perhaps without checksums."""
+    if data.is_dir():
+        make_folder(data, [path.name for path in data.iterdir() if path.suffix in (".json", ".npz")])
+
+
+def _is_whole(folder: Path, item: str, made: dict[str, Any], force: bool) -> bool:
+    """Whether the files of an item are there. Raises `ValueError` for damaged ones, unless forced."""
+    if not all((folder / name).is_file() for name in made["files"]):
+        return False
+    try:
+        check_files(folder, made["files"], f"remove it, and {item} is made again")
+    except ValueError:
+        if not force:
+            raise
+        return False
+    return True
+
+
+def _write(folder: Path, item: str, product: Product) -> dict[str, str]:
+    """The files written, and their checksums."""
+    paths = []
     for ending, table in product.tables.items():
-        files.append(f"{item}{ending}.csv")
-        io.write_table(folder / files[-1], table)
+        paths.append(folder / f"{item}{ending}.csv")
+        io.write_table(paths[-1], table)
     picture = folder / f"{item}.png"
     save_figure(picture, lambda: (product.figure, None))
-    return [*files, picture.name] if picture.is_file() else files
+    return {path.name: checksum(path) for path in [*paths, picture] if path.is_file()}
 
 
 def _report(folder: Path, plan: Plan, manifest: dict[str, Any]) -> None:
