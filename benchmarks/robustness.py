@@ -170,8 +170,8 @@ def flips(count: int, place: Path) -> dict[str, Any]:
         (killed, ["anneal", "--resume"], whole, 0.35),
         (grid, GRID, grid, 0.15),
     ):
-        paths = [path.relative_to(folder) for path in sorted(folder.rglob("*")) if path.is_file()]
-        paths.remove(Path(LOCK)) if Path(LOCK) in paths else None
+        paths = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != LOCK)
+        paths = [path.relative_to(folder) for path in paths]
         shares = [SHARES[folder.name].get(path.name, 1.0) for path in paths]
         counts = np.diff(np.round(np.cumsum([0, *shares]) / sum(shares) * share * count)).astype(int)
         for path, some in zip(paths, counts, strict=True):
@@ -263,7 +263,7 @@ def two_runs(count: int, place: Path) -> dict[str, Any]:
 
 
 PARTS: dict[str, tuple[Callable[[int, Path], dict[str, Any]], int]] = {
-    "kills": (kills, 50), "flips": (flips, 4000), "two_runs": (two_runs, 3)
+    "kills": (kills, 50), "flips": (flips, 4000), "two_runs": (two_runs, 2)
 }  # fmt: skip
 
 
