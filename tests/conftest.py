@@ -1,8 +1,8 @@
 """The reference tubes and the two precisions, for all tests."""
 
-import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from hypothesis import settings
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
+from matplotlib.figure import Figure
+from quick import ASKED, quick_options
 
-from jaxtissue.lowering import is_option
+from jaxtissue import candidates, diagrams, plot, refinement
 from jaxtissue.programs import PROGRAMS, Request, Task
 from jaxtissue.tube import Tube
 
@@ -23,8 +25,6 @@ REFERENCES = sorted(path.stem for path in DATA.glob("*.npz"))
 
 settings.register_profile("jaxtissue", deadline=None, derandomize=True, database=None, max_examples=30)
 settings.load_profile("jaxtissue")
-# compiled in two thirds of the time; a sweep takes a fifth longer, and replicas get other bits than alone
-QUICK: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -53,18 +53,19 @@ def forget_programs() -> None:
         if isinstance(program, Future):
             program.exception()
     PROGRAMS.clear()
+    for kept in (candidates._checking, diagrams._seeing, refinement.measuring):
+        kept.cache_clear()
 
 
-@pytest.fixture(scope="module")
-def quick_compile():
-    """Compile without optimization, here and in processes started: few cells for few sweeps.
-
-    What is measured or summed in bulk, in `test_metropolis` and `test_voronoi`, is compiled as users do, so
-    no program is left to other modules.
-    """
+@contextmanager
+def compiling(replicas_as_alone: bool) -> Iterator[None]:
+    """Compile quickly, here and in commands started by `quick.command`, and leave no program to others."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
         forget_programs()
+        for module, options in quick_options(replicas_as_alone).items():
+            patch.setattr(module, "options", options)
+        patch.setenv(ASKED, "replicas as alone" if replicas_as_alone else "quickest")
+        patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
         jax.config.update("jax_disable_most_optimizations", True)
         yield
         forget_programs()
@@ -72,19 +73,34 @@ def quick_compile():
 
 
 @pytest.fixture(scope="module")
-def quickest_compile(quick_compile):
-    """The same and QUICK, where replicas need not be the same to the bit as alone."""
-    jnp.zeros(1).block_until_ready()  # this process reads XLA_FLAGS once: before they are set for others
-    compile_as_told = jax.stages.Lowered.compile
-    quick = {name: value for name, value in QUICK.items() if is_option(name, value)}
-    flags = [f"--{name}={str(value).lower()}" for name, value in quick.items()]
+def quick_compile():
+    """Compile without optimization, here and in processes started: few cells for few sweeps.
 
-    def compile_quickly(lowered, compiler_options=None):
-        return compile_as_told(lowered, quick | (compiler_options or {}))
+    What is measured or summed in bulk, in `test_metropolis` and `test_voronoi`, is compiled as users do.
+    """
+    with compiling(replicas_as_alone=True):
+        yield
+
+
+@pytest.fixture(scope="module")
+def quickest_compile():
+    """The same, and more quickly where replicas need not be the same to the bit as alone."""
+    with compiling(replicas_as_alone=False):
+        yield
+
+
+@pytest.fixture(scope="module")
+def coarse_pictures():
+    """Draw pictures of few pixels, laid out without care: what runs leave them, and the same each time."""
+    save = Figure.savefig
+
+    def save_coarsely(figure, *arguments, **options):
+        figure.set_layout_engine("none")
+        save(figure, *arguments, **options | {"dpi": 30})
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XLA_FLAGS", " ".join([os.environ.get("XLA_FLAGS", ""), *flags]).strip())
-        patch.setattr(jax.stages.Lowered, "compile", compile_quickly)
+        patch.setattr(plot, "_PIXELS", (100, 48))
+        patch.setattr(Figure, "savefig", save_coarsely)
         yield
 
 

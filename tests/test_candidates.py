@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxtissue import lowering
 from jaxtissue.candidates import (
     NEAREST,
     contact_graph,
@@ -53,7 +54,7 @@ def tissue():
     positions = TUBE.random_positions(jax.random.key(3), CELLS)
     sides, clear = looked_at(positions)
     lines = plan_lines(TUBE, CELLS, PRESETS["draft"])
-    _, seen = jax.jit(measure_cells)(positions, TUBE, lines, sides)
+    _, seen = jax.jit(measure_cells, compiler_options=lowering.options())(positions, TUBE, lines, sides)
     return positions, sides, np.asarray(seen.touched), clear, contact_graph(sides, seen.touched)
 
 
@@ -61,7 +62,9 @@ def looked_at(positions) -> tuple[np.ndarray, np.ndarray]:
     """Candidates, and how clear they are."""
     sides = find_candidates(positions, TUBE, MARGIN * BOUND)
     lines = plan_lines(TUBE, CELLS, PRESETS["draft"]), sight_lines(TUBE, CELLS, PRESETS["draft"])
-    _, clear, _ = jax.jit(look)(positions, tube_model(TUBE, CELLS), lines, sides)
+    _, clear, _ = jax.jit(look, compiler_options=lowering.options())(
+        positions, tube_model(TUBE, CELLS), lines, sides
+    )
     return sides, from_both(np.asarray(clear), both_views(sides))
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import quick
 from test_cli import column, read_table, restore_precision, without_seconds  # noqa: F401
 
 import jaxtissue
@@ -24,7 +25,7 @@ from jaxtissue.locks import alone, together
 from jaxtissue.reading import read_backbones
 from jaxtissue.settings import Settings
 
-pytestmark = pytest.mark.usefixtures("quick_compile")
+pytestmark = pytest.mark.usefixtures("quick_compile", "coarse_pictures")
 
 VALUES = ["--length", "12", "--basal-radius", "4", "--ratio", "2", "8", "--cells", "24"]
 VALUES += ["--temperature", "0.5", "--seed", "0", "1", "--sweeps", "2"]
@@ -39,7 +40,7 @@ def start(folder: Path, *more: str, devices: int = 1) -> subprocess.Popen:
     """The command in a process of its own that sees so many devices."""
     path = os.pathsep.join([str(Path(jaxtissue.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
     return subprocess.Popen(
-        [sys.executable, "-m", "jaxtissue", "sweep", *VALUES, "--out", str(folder), *more],
+        quick.command("sweep", *VALUES, "--out", folder, *more),
         env=os.environ | {"PYTHONPATH": path, "JAX_NUM_CPU_DEVICES": str(devices)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -55,7 +56,7 @@ def finish(*running: subprocess.Popen) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def whole(quick_compile, tmp_path_factory) -> Path:
+def whole(quick_compile, coarse_pictures, tmp_path_factory) -> Path:
     """The folder of a grid that ran through in one process."""
     folder = tmp_path_factory.mktemp("grids") / "whole"
     assert main(["sweep", *VALUES, "--out", str(folder)]) == 0
@@ -240,7 +241,7 @@ def test_a_grid_grows_and_keeps_its_rows(whole, tmp_path, monkeypatch, capsys) -
     run = ["sweep", *VALUES[:4], "--cells", "24", "--temperature", "0.5", "--sweeps", "2"]
     run += ["--out", str(folder)]
     assert main([*run, "--ratio", "8", "--seed", "1", "--batch", "4"]) == 0
-    more = [*run, "--ratio", "2", "8", "--seed", "0", "1"]
+    more = [*run, "--ratio", "2", "8", "--seed", "0", "1", "--batch", "4"]  # of one program with the first
     with together(folder, lambda _: None):  # while another part is at work
         assert main(more) == 2 and "then the grid can grow" in capsys.readouterr().err
     assert main(more) == 0 and same_grid(folder, whole)

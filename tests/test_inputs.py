@@ -16,7 +16,7 @@ from jaxtissue.inputs import as_positions
 TUBE = jt.Tube(20, 1, 3)
 WHOLE = [[1, 0], [3, 2], [7, 4], [12, 1], [18, 5], [5, 3]]
 FLOATS = np.array(WHOLE, float)
-pytestmark = pytest.mark.usefixtures("quick_compile")
+pytestmark = pytest.mark.usefixtures("quickest_compile")
 
 
 class Frame:

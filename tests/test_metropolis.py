@@ -13,6 +13,7 @@ from jaxtissue.cells import measure_cells
 from jaxtissue.coloring import color, hop_conflicts
 from jaxtissue.energy import tube_model
 from jaxtissue.lines import PRESETS
+from jaxtissue.lowering import options
 from jaxtissue.metropolis import draw, move_bound, propose
 from jaxtissue.programs import PROGRAMS, run_together
 from jaxtissue.records import shortlisted
@@ -39,7 +40,7 @@ class Bench:
         self.tissue = measured.tissue
         self.width = plan[0].shape[1]  # so that all share the run's program
         self.rounds = color(hop_conflicts(measured.contacts(), 3), self.width)
-        self.measure = jax.jit(measure_cells)
+        self.measure = jax.jit(measure_cells, compiler_options=options(light=True))
 
     def sweep(self, rounds: np.ndarray, temperature: float = 2.0, seed: int = 0, tissue=None):
         """The tissue after a sweep of at most `CAPACITY` rounds, and what happened."""

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from quick import meet
 
 from jaxtissue.cli import main
 from jaxtissue.files import write_sealed
@@ -22,7 +23,7 @@ from jaxtissue.sampling import cylindrical_voxels
 from jaxtissue.tube import Tube
 from jaxtissue.voronoi import label_volumes, nearest_backbones
 
-pytestmark = pytest.mark.usefixtures("quick_compile")
+pytestmark = pytest.mark.usefixtures("quickest_compile")
 
 TINY = replace(QUICK, cells=12, length=6.0, sweeps=2, kept=(1, 2))
 
@@ -310,7 +311,9 @@ def test_two_processes_give_what_one_gives_to_the_bit(store, tmp_path):
     tube, plan = Tube(12, 3, 8), replace(TINY, ratios=(2.0,))
     calls = [(np.asarray(random_tissue(tube, 40, seed)), tube, 2) for seed in (0, 1)]
     alone = dict(Workers().run(relax_lloyd, calls))
+    (meeting := tmp_path / "meeting").mkdir()
     with Workers(2) as workers:
+        dict(workers.run(meet, [(meeting, name, 2) for name in "ab"]))  # both compile as this process does
         told = dict(workers.run(relax_lloyd, calls))
         shared = Store(tmp_path / "shared", lambda _: None, workers=workers)
         tables = [measure_ratios(plan, one) for one in (shared, store, shared)]

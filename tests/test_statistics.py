@@ -2,7 +2,6 @@
 
 import math
 
-import jax
 import networkx as nx
 import numpy as np
 import pytest
@@ -24,23 +23,19 @@ from jaxtissue.statistics import (
 from jaxtissue.transitions import CellForms, Transitions
 from jaxtissue.tube import Tube
 
+pytestmark = pytest.mark.usefixtures("quickest_compile")
 TUBE, CELLS = Tube(15, 1, 10), 60  # one tube for all: each compiles anew
 
 
 @pytest.fixture(scope="module")
-def tissues():
-    """Positions and connectivity of one tissue, random and after a few sweeps.
-
-    Compiled without optimization: few cells for few sweeps, so that compiling is most of the time.
-    """
+def tissues(quickest_compile):
+    """Positions and connectivity of one tissue, random and after a few sweeps."""
     start = np.random.default_rng(5).uniform([0, 0], [15, 2 * math.pi], (CELLS, 2)).astype(np.float32)
     schedule = constant_schedule(2.0, 3)
     annealer = Annealer(tube_model(TUBE, CELLS), PRESETS["draft"], "is-mh", 0, schedule)
-    jax.config.update("jax_disable_most_optimizations", True)
     state = annealer.start(start)
     while state.sweep < 3:
         state, *_ = annealer.advance(state)
-    jax.config.update("jax_disable_most_optimizations", False)
     places = {"random": start.astype(float), "annealed": state.positions.astype(float)}
     return {name: (place, find_connectivity(place, TUBE)) for name, place in places.items()}
 

@@ -8,19 +8,20 @@ import time
 from pathlib import Path
 
 import pytest
+import quick
+from test_cli import SIZES, SMALL, restore_precision  # noqa: F401
 
 import jaxtissue
+from jaxtissue.cli import main
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
-TUBE = ("--length", "12", "--apical-radius", "2", "--basal-radius", "4")
-RUN = ("anneal", *TUBE, "--cells", "12", "--seed", "3", "--no-contacts", "--sweeps", "20")
+RUN = (*SMALL, "--no-contacts", "--sweeps", "20")
 BACKBONES = "axial,angle\n1,0\n5,2\n9,4\n"
-LOST = """
-import pwd, sys
+LOST = f"""
+import pwd
 def unknown(*_): raise KeyError("no such user")
 pwd.getpwuid = pwd.getpwnam = unknown
-from jaxtissue.cli import main
-sys.exit(main())
+{quick.RUN}
 """  # the command, run by a user whom the system does not know
 
 
@@ -53,20 +54,10 @@ def end(process: subprocess.Popen[bytes]) -> tuple[int, str, str]:
     return process.returncode, said.decode(), told.decode()
 
 
-def command(*arguments: object) -> list[str | bytes]:
-    return [
-        sys.executable,
-        "-m",
-        "jaxtissue",
-        *(part if isinstance(part, bytes) else str(part) for part in arguments),
-    ]
-
-
 def test_a_run_in_odd_surroundings_is_the_usual_one(tmp_path) -> None:
     """Strict settings of JAX, a user unknown, TeX wanted and not there, ASCII streams, SIGINT ignored."""
     usual, odd = tmp_path / "usual", os.fsencode(tmp_path) + "/Ergebnis-ü-".encode() + b"\xff"
-    code, _, told = end(start(command(*RUN, "--x64", "--out", usual)))
-    assert code == 0, told
+    assert main([*RUN, "--x64", "--out", str(usual)]) == 0
     (tmp_path / "matplotlibrc").write_text("text.usetex: True\nfont.family: no such font\n")
     process = start(
         ["/bin/sh", "-c", 'trap "" INT; exec "$@"', "sh", sys.executable, "-c", LOST, *RUN, "--out", odd],
@@ -88,7 +79,7 @@ def test_a_run_in_odd_surroundings_is_the_usual_one(tmp_path) -> None:
 
 
 def test_a_platform_that_is_not_there_gets_one_line() -> None:
-    code, _, told = end(start(command("info"), JAX_PLATFORMS="nonesuch"))
+    code, _, told = end(start(quick.command("info"), JAX_PLATFORMS="nonesuch"))
     assert code == 2
     assert told == "jaxtissue: error: JAX has no device for JAX_PLATFORMS=nonesuch; correct or unset it\n"
 
@@ -97,7 +88,7 @@ def test_closed_streams_no_home_and_a_name_that_is_no_text(tmp_path) -> None:
     table, here = os.fsencode(tmp_path) + b"/r\xe9seau.csv", tmp_path / "here"
     Path(os.fsdecode(table)).write_text(BACKBONES)
     here.mkdir()
-    measure = command("measure", table, *TUBE, "--no-contacts", "--out")
+    measure = quick.command("measure", table, *SIZES, "--no-contacts", "--out")
     silent = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *measure]
     done = start([*silent, str(tmp_path / "cells")], here, **NO_HOME)
     assert end(done) == (0, "", "")

@@ -1,5 +1,6 @@
 """Nearest backbones, cell volumes and label images."""
 
+import functools
 import math
 
 import jax
@@ -109,7 +110,8 @@ def test_nearest_backbones_reject_impossible_counts(scene):
 def test_memory_grows_with_points_plus_backbones(points, cells):
     ends = jax.ShapeDtypeStruct((cells, 3), jnp.float32)
     samples = jax.ShapeDtypeStruct((points, 3), jnp.float32)
-    compiled = nearest_backbones.lower(samples, Backbones(ends, ends), 4).compile()
+    nearest = jax.jit(functools.partial(nearest_backbones, count=4))
+    compiled = nearest.lower(samples, Backbones(ends, ends)).compile()
     # Under 20 numbers a point and a backbone, where a table would take 500 MB and more.
     assert compiled.memory_analysis().temp_size_in_bytes < 80 * (points + cells)
 

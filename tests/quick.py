@@ -1,0 +1,69 @@
+"""Compile quickly, in tests and in the commands they start: what runs little needs no optimizing."""
+
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+from jaxtissue import candidates, diagrams, lowering, programs, refinement
+from jaxtissue.__main__ import run as run_command
+from jaxtissue.lowering import is_option
+
+Options = dict[str, str | bool]
+ASKED = "JAXTISSUE_TESTS_COMPILE"  # the variable by which processes are told how to compile
+LEVEL = "xla_backend_optimization_level"
+# compiled in half of the time; a sweep takes a fifth longer, and replicas get other bits than alone
+QUICK: Options = {"xla_cpu_use_fusion_emitters": False}
+# named as the installed command, by which it knows that signals are for it to answer
+RUN = f"""
+import sys
+sys.argv[0] = "jaxtissue"
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+import quick
+quick.run()
+"""
+
+
+def quick_options(replicas_as_alone: bool) -> dict[ModuleType, Callable[..., Options]]:
+    """What is to stand for `options` in each module that compiles, where JAX is told not to optimize.
+
+    With `replicas_as_alone`, what is compiled for replicas has the usual ones.
+    """
+    usual = lowering.options
+
+    def quick(light: bool = False) -> Options:
+        found = {name: value for name, value in usual(light).items() if name != LEVEL}
+        return found | {name: value for name, value in QUICK.items() if is_option(name, value)}
+
+    modules = {lowering, candidates, diagrams, programs, refinement}
+    return dict.fromkeys(modules - {programs} if replicas_as_alone else modules, quick)
+
+
+def command(*arguments: object) -> list[str | bytes]:
+    """The command line of a `jaxtissue` that compiles as the test does that starts it."""
+    given = (part if isinstance(part, bytes) else str(part) for part in arguments)
+    return [sys.executable, "-c", RUN, *given]
+
+
+def compile_as_asked() -> None:
+    """Compile as the test does that started this process."""
+    if asked := os.environ.get(ASKED):
+        for module, options in quick_options(asked == "replicas as alone").items():
+            module.options = options  # type: ignore[attr-defined]
+
+
+def meet(folder: Path, name: str, count: int) -> None:
+    """Compile as asked, in each of `count` processes: none is done before all have begun."""
+    compile_as_asked()
+    (folder / name).touch()
+    ends = time.monotonic() + 100
+    while len(list(folder.iterdir())) < count and time.monotonic() < ends:
+        time.sleep(0.01)
+
+
+def run() -> None:
+    """`jaxtissue` in a process that a test started."""
+    compile_as_asked()
+    run_command()
