@@ -241,7 +241,7 @@ def test_a_grid_grows_and_keeps_its_rows(whole, tmp_path, monkeypatch, capsys) -
     run = ["sweep", *VALUES[:4], "--cells", "24", "--temperature", "0.5", "--sweeps", "2"]
     run += ["--out", str(folder)]
     assert main([*run, "--ratio", "8", "--seed", "1", "--batch", "4"]) == 0
-    more = [*run, "--ratio", "2", "8", "--seed", "0", "1", "--batch", "4"]  # of one program with the first
+    more = [*run, "--ratio", "2", "8", "--seed", "0", "1"]
     with together(folder, lambda _: None):  # while another part is at work
         assert main(more) == 2 and "then the grid can grow" in capsys.readouterr().err
     assert main(more) == 0 and same_grid(folder, whole)
