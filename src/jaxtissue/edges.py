@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 from scipy.spatial import KDTree
 
-from jaxtissue.fronts import GOING, HOME, LOST, Fronts, begin, passes, refine, step
+from jaxtissue.fronts import GOING, HOME, LOST, Fronts, begin, passes, refine_all, step
 from jaxtissue.inputs import as_positions
 from jaxtissue.leads import BOUNDS, TIE, TINY, TOUCH, Leads, ranges
 from jaxtissue.seeds import Seeds, seed, seed_lenses
@@ -139,7 +139,7 @@ class _Growing:
             self._enter(moved, met)
             open_ = np.array([end not in self.closed for end in moved.end.tolist()], bool)
             going = open_ & ((met == GOING) | (met == LOST)) & (moved.longest > TOUCH * self.leads.size)
-            fronts = moved.of(going).join(self._leave(first))
+            fronts = Fronts.of_all([moved.of(going), self._leave(first)])
 
     def _begin(self, point: np.ndarray, labels: np.ndarray, sign: np.ndarray, end: np.ndarray) -> Fronts:
         fronts = begin(point, labels, sign, end, self.count, self.leads)
@@ -246,7 +246,7 @@ class _Growing:
         order = np.argsort(edge, kind="stable")
         edge, points, along = edge[order], points[order], sign[front[order]]
         points = np.where((along > 0)[:, None, None], points, points[:, ::-1])
-        points, tangents, segment = refine(points, labels[begun[edge, 0]], leads)
+        points, tangents, segment = refine_all(points, labels[begun[edge, 0]], leads)
         four, vertices = np.array(self.labels, int).reshape(-1, 4), np.array(self.points).reshape(-1, 3)
         rival, beyond = leads.foremost(vertices, four)
         tied, lost = np.zeros(n + BOUNDS, bool), np.zeros(n + BOUNDS, bool)

@@ -1,10 +1,12 @@
 """Points that move along the diagram's edges, step by step, each to the vertex that ends its edge."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxtissue.cores import cut, in_threads
 from jaxtissue.leads import TIE, TINY, TOUCH, Leads
 
 STEP = 0.6  # longest step, in mean cell widths at the local radius
@@ -16,6 +18,7 @@ STRAY = 3e-4  # of its length: most by which an edge leaves the cubic through th
 BENDS = 6  # steps to where a foot leaves its backbone's end
 MET = 1e-5  # of a segment: the last of them at most, or it is not parted there
 ENOUGH = 1e-7  # of a step: Newton's next step is its square
+CROWD = 512  # fronts worth a thread
 GOING, HOME, LOST = -1, -2, -3  # nobody met yet; back where the front began; the step was too long
 
 
@@ -35,13 +38,14 @@ class Fronts(NamedTuple):
     safe: Float[np.ndarray, " m"]  # step that crosses no wall unseen
     gone: Float[np.ndarray, " m"]
 
-    def of(self, chosen: np.ndarray) -> "Fronts":
+    def of(self, chosen: np.ndarray | slice) -> "Fronts":
         """Some of the fronts, by mask or place."""
         return Fronts(*(column[chosen] for column in self))
 
-    def join(self, other: "Fronts") -> "Fronts":
-        """These fronts and others."""
-        return Fronts(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+    @staticmethod
+    def of_all(parts: Sequence["Fronts"]) -> "Fronts":
+        """All fronts of the parts."""
+        return Fronts(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def begin(
@@ -55,7 +59,11 @@ def begin(
     """Fronts that start at points, numbered from `number` on."""
     ahead, turn = leads.curve(point, labels)
     ahead, longest = sign[:, None] * ahead, widest(point, ahead, turn, leads)
-    safe = leads.look(point, labels, ahead, turn, longest)[2]
+    looks = in_threads(
+        lambda some: leads.look(point[some], labels[some], ahead[some], turn[some], longest[some])[2],
+        cut(len(point), CROWD),
+    )
+    safe = np.concatenate(looks)
     numbers = number + np.arange(len(point))
     return Fronts(numbers, end, labels, sign, point, point, ahead, turn, longest, safe, np.zeros(len(point)))
 
@@ -79,7 +87,8 @@ def step(fronts: Fronts, leads: Leads) -> tuple[Fronts, Int[np.ndarray, " m"]]:
     """One step of every front, and who is met: a label, GOING, HOME, or LOST: to be tried shorter."""
     old, longest = fronts.point, fronts.longest
     size = np.minimum(longest, np.maximum(fronts.safe, longest / 20))
-    moved, met = advance(fronts, size, leads)
+    parts = in_threads(lambda some: advance(fronts.of(some), size[some], leads), cut(len(old), CROWD))
+    moved, met = Fronts.of_all([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
     good = met != LOST
     home = (fronts.end < 0) & (fronts.gone > 3 * size) & good
     home &= passes(fronts.start, old, moved.point, size / 5)
@@ -156,6 +165,15 @@ class Segments(NamedTuple):
         )
         points[chosen, 1], tangents[chosen, 1] = middle, along
         return Segments(points, tangents, np.append(self.segment, self.segment[chosen]))
+
+
+def refine_all(points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"], leads: Leads) -> Segments:
+    """As `refine`, in threads."""
+    slices = cut(len(points), CROWD)
+    parts = in_threads(lambda some: refine(points[some], labels[some], leads), slices)
+    numbered = [part.segment + some.start for part, some in zip(parts, slices, strict=True)]
+    ends, ways = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+    return Segments(ends, ways, np.concatenate(numbered))
 
 
 def refine(points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"], leads: Leads) -> Segments:

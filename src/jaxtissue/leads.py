@@ -179,27 +179,28 @@ class Leads:
         row, rival = self._near(point, self._span(point, labels[:, 0], ahead, reach))
         pair = np.stack([labels[row, 0], rival], axis=1)
         lead, slope = self.over_first(point[row], pair)
-        bend = self.bend(point[row], pair, ahead[row])
-        bounds = [self.over_bound(bound, point) for bound in range(BOUNDS)]
-        flat = 2 * (ahead[:, 1] ** 2 + ahead[:, 2] ** 2)
-        lead = np.concatenate([lead[:, 0], *(bound[0] for bound in bounds)])
-        slope = np.concatenate([slope[..., 0], *(bound[1] for bound in bounds)], axis=1)
-        bend = np.concatenate([bend[:, 0], -flat, flat, 0 * flat, 0 * flat])
-        row = np.append(row, np.tile(np.arange(len(point)), BOUNDS))
-        rival = np.append(rival, np.repeat(self.count + np.arange(BOUNDS), len(point)))
+        slope, bend = slope[..., 0], self.bend(point[row], pair, ahead[row])[:, 0]
         norm = np.sqrt(dot(slope, slope)) + TINY
-        beyond, rate = lead / norm, dot(slope, ahead.T[:, row]) / norm
+        beyond, rate = lead[:, 0] / norm, dot(slope, ahead.T[:, row]) / norm
         safe = until(beyond, rate, (bend + dot(slope, turn.T[:, row])) / norm, reach[row])
         known = (labels[row] == rival[:, None]).any(axis=1)
         beyond[known], safe[known] = -np.inf, np.inf
-        order = np.argsort(row, kind="stable")
-        row, rival, beyond, safe = row[order], rival[order], beyond[order], safe[order]
-        start = np.searchsorted(row, np.arange(len(point)))
-        most = np.maximum.reduceat(beyond, start)
+        start = np.searchsorted(row, np.arange(len(point)))  # each has its own backbone among the near
+        most, safe = np.maximum.reduceat(beyond, start), np.minimum.reduceat(safe, start)
         best = np.flatnonzero(beyond == most[row])[::-1]
         label = np.zeros(len(point), int)
         label[row[best]] = rival[best]
-        return label, most, np.minimum(np.minimum.reduceat(safe, start), reach)
+        flat = 2 * (ahead[:, 1] ** 2 + ahead[:, 2] ** 2)
+        for bound, bend in enumerate((-flat, flat, 0 * flat, 0 * flat)):
+            lead, slope = self.over_bound(bound, point)
+            norm = np.sqrt(dot(slope, slope)) + TINY
+            beyond, rate = lead / norm, dot(slope, ahead.T) / norm
+            ends = until(beyond, rate, (bend + dot(slope, turn.T)) / norm, reach)
+            other = ~(labels == self.count + bound).any(axis=1)
+            first = other & (beyond > most)
+            label[first], most[first] = self.count + bound, beyond[first]
+            safe = np.where(other, np.minimum(safe, ends), safe)
+        return label, most, np.minimum(safe, reach)
 
     def feet(self, point: Float[np.ndarray, "m 3"], own: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m 3"]:
         """The points of backbones that are nearest to given points."""

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxtissue.cores import in_threads
 from jaxtissue.edges import EdgeGraph
 from jaxtissue.leads import BOUNDS, TINY, Leads
 
@@ -57,23 +58,32 @@ def measure_rims(graph: EdgeGraph, leads: Leads) -> Rims:
     count, cells = len(graph.edge_labels), leads.count + BOUNDS
     length, area, turn = np.zeros(count), np.zeros((3, count)), np.zeros((3, count))
     volume = np.zeros(cells)
-    for start in range(0, len(graph.points), BLOCK):
-        some = slice(start, start + BLOCK)
-        edge = graph.segment_edge[some]
-        labels = graph.edge_labels[edge]
+
+    def swept(some: slice) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
+        """Lengths and angles of segments, and for each of SIDES the rows that it bears on and their sums."""
+        labels = graph.edge_labels[graph.segment_edge[some]]
         point = nodes_on(graph.points[some], graph.tangents[some], labels, leads)
         speed = np.linalg.norm(np.einsum("ij,mjk->mik", SLOPES, point), axis=2) @ WEIGHTS
-        length += np.bincount(edge, speed, count)
         angle = np.arctan2(point[..., 2], point[..., 1])
         angle[:, 1:] = np.mod(angle[:, 1:] - angle[:, :1] + np.pi, 2 * np.pi) - np.pi
         start_angle, angle[:, 0] = angle[:, 0].copy(), 0
-        for side, (one, two, sign) in enumerate(SIDES):
+        sides = []
+        for one, two, sign in SIDES:
             kept = np.flatnonzero(labels[:, one] < leads.count)
             pair = labels[kept][:, [one, two]]
-            swept = sign * _swept(point[kept], start_angle[kept], angle[kept], pair, leads)
-            area[side] += np.bincount(edge[kept], swept[0], count)
-            turn[side] += np.bincount(edge, sign * angle[:, -1], count)
-            volume += np.bincount(pair.T.ravel(), swept[1:].ravel(), cells)
+            sides.append((kept, sign * _swept(point[kept], start_angle[kept], angle[kept], pair, leads)))
+        return speed, angle[:, -1], sides
+
+    blocks = [slice(start, start + BLOCK) for start in range(0, len(graph.points), BLOCK)]
+    for some, (speed, spun, sides) in zip(blocks, in_threads(swept, blocks), strict=True):
+        edge = graph.segment_edge[some]
+        length += np.bincount(edge, speed, count)
+        for side, (kept, sums) in enumerate(sides):
+            one, two, sign = SIDES[side]
+            area[side] += np.bincount(edge[kept], sums[0], count)
+            turn[side] += np.bincount(edge, sign * spun, count)
+            pair = graph.edge_labels[edge[kept]][:, [one, two]]
+            volume += np.bincount(pair.T.ravel(), sums[1:].ravel(), cells)
     return Rims(length, area, turn, volume[: leads.count])
 
 

@@ -14,7 +14,6 @@ from tqdm import tqdm
 
 from jaxtissue import io
 from jaxtissue.anneal import SPAN
-from jaxtissue.diagrams import Gauge
 from jaxtissue.files import (
     check_folder,
     open_own,
@@ -146,30 +145,30 @@ def _finish(run: Run, ended: bool = True) -> None:
         write_contacts(run.folder, connectivity)
         summary |= contact_summary(connectivity)
     shown = run.kept | {run.state.sweep: place}
-    volumes = {sweep: np.asarray(run.annealer.measure(shown[sweep]).volume) for sweep in _a_few(list(shown))}
-    volumes[run.state.sweep] = columns["volume"]
     ends = (0, run.state.sweep)
-    gauge = Gauge(model.tube, "fine")
-    fine_energy = [float(model.cell_energy(gauge.measure(shown[sweep]), model).sum()) for sweep in ends]
+    drawn = _a_few([sweep for sweep in shown if sweep < ends[1]])
+    volumes = {sweep: np.asarray(run.annealer.measure(shown[sweep]).volume) for sweep in drawn}
+    volumes[ends[1]] = columns["volume"]
+    measured = [ends[1]], [summary["energy"]]
     sweeps = io.read_sweeps(run.folder / "sweeps.csv")
     tissues = [Tissue(f"sweep {sweep}", shown[sweep], volumes[sweep]) for sweep in ends]
     figures = (
-        partial(plot_energy, sweeps, (ends, fine_energy), "total, measured with 'fine'"),
+        partial(plot_energy, sweeps, measured, "total, of the table of cells"),
         partial(plot_volumes, list(volumes), list(volumes.values()), float(model.mean_volume)),
         partial(plot_surfaces, model.tube, tissues),
     )
     for name, draw in zip(FIGURES, figures, strict=True):
         save_figure(run.folder / name, draw)
     energy = {"initial": sweeps["energy"][0], "final": sweeps["energy"][-1]}
-    energy |= {"initial_fine": fine_energy[0], "final_fine": fine_energy[-1]}
+    energy |= {"final_measured": summary["energy"]}
     news = {"energy": energy, "final": {"sweep": run.state.sweep} | summary}
     run.write_manifest(**news, finished=now() if ended else None, files=run.checksums(*RESULTS))
     _print_result(run)
 
 
 def _a_few(sweeps: list[int]) -> list[int]:
-    """At most seven of the kept sweeps, the first and the last among them."""
-    picked = np.unique(np.linspace(0, len(sweeps) - 1, min(7, len(sweeps))).round().astype(int))
+    """At most six of the kept sweeps, the first and the last among them."""
+    picked = np.unique(np.linspace(0, len(sweeps) - 1, min(6, len(sweeps))).round().astype(int))
     return [sweeps[i] for i in picked]
 
 
@@ -177,10 +176,10 @@ def _print_result(run: Run) -> None:
     energy, final = run.manifest["energy"], run.manifest["final"]
     print(f"cells            {run.settings.cells}")
     print(f"sweeps           {run.state.sweep}")
-    for label, ending in ((run.settings.resolution, ""), ("fine", "_fine")):
-        first, last = energy["initial" + ending], energy["final" + ending]
-        share = f" ({100 * last / first:.3g} %)" if first > 0 else ""
-        print(f"{f'energy, {label}':17}{first:.6g} -> {last:.6g}{share}")
+    first, last = energy["initial"], energy["final"]
+    share = f" ({100 * last / first:.3g} %)" if first > 0 else ""
+    print(f"{f'energy, {run.settings.resolution}':17}{first:.6g} -> {last:.6g}{share}")
+    print(f"{'energy, measured':17}{energy['final_measured']:.6g}")
     shown = ("separation", "covering_radius", "tightness", "neighbors", "transitions", "scutoid_fraction")
     for name in shown:
         if name in final:

@@ -9,7 +9,7 @@ criterion, the verdict is "too noisy".
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 MET, NOT_MET, NOISY, NOT_COMPARABLE = "met", "not met", "too noisy", "not comparable"
 VERDICTS = (MET, NOT_MET, NOISY, NOT_COMPARABLE)
@@ -94,7 +94,7 @@ def mean_range(samples: np.ndarray, others: int | None = None) -> tuple[float, f
     if count < 2:
         return -np.inf, np.inf
     share = 1 / count + (1 / others if others else 0)
-    half = float(student.ppf(0.975, count - 1)) * float(np.std(samples, ddof=1)) * share**0.5
+    half = float(stdtrit(count - 1, 0.975)) * float(np.std(samples, ddof=1)) * share**0.5
     return mean - half, mean + half
 
 
