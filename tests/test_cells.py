@@ -47,8 +47,13 @@ def random_positions(n: int, tube: Tube = TUBE, seed: int = 0) -> jax.Array:
     return tube.random_positions(jax.random.key(seed), n)
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize("name", REFERENCES)
+FEW = {"n1", "n2", "duplicate_x", "near_coincident"}  # a program for each number of cells
+
+
+@pytest.mark.parametrize(
+    ("name", "preset"),
+    [(name, preset) for name in REFERENCES for preset in PRESETS if name not in FEW or preset != "fine"],
+)
 def test_presets_hold_their_bars(name: str, preset: str, load_reference) -> None:
     tube, positions, data = (ref := load_reference(name)).tube, ref.positions, ref.data
     with jax.enable_x64(name == "near_coincident"):  # its two backbones are 1e-3 apart: float32 can't

@@ -183,6 +183,7 @@ def test_open_ends_are_said(monkeypatch):
         warnings.simplefilter("error")
         find_connectivity(places, tube)
     monkeypatch.setattr(edges, "_trace", careless)
+    monkeypatch.setattr(edges, "TRIES", 2)
     for find in (find_contacts, find_transitions, find_forms, find_connectivity, trace_edges):
         with pytest.warns(UserWarning, match="^2 edges of the diagram could not be followed"):
             find(places, tube)

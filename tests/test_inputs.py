@@ -72,14 +72,15 @@ def test_positions_of_any_kind_are_floats(kind):
 def test_whole_numbers_are_measured_as_floats():
     right, _ = jt.measure_tissue(FLOATS, TUBE, "draft", surfaces=False)
     exact = jt.exact_cells(FLOATS, TUBE, 50)
-    np.testing.assert_allclose(right.volume, exact.volume, rtol=0.01)  # `draft`
-    np.testing.assert_allclose(right.lateral_area, exact.lateral_area, rtol=0.03)
+    np.testing.assert_allclose(right.volume, exact.volume, rtol=1e-4)
+    np.testing.assert_allclose(right.lateral_area, exact.lateral_area, rtol=3e-3)  # samples, the exact path
     gauge = jt.Gauge(TUBE, "draft")
+    kept = gauge.measure(FLOATS).volume
     for kind in ("i8", "u1", "f2", ">f8", "list", "frame"):
         cells, _ = jt.measure_tissue(KINDS[kind], TUBE, "draft", surfaces=False)
         for column, same in zip(jax.tree.leaves(cells), jax.tree.leaves(right), strict=True):
             np.testing.assert_array_equal(column, same)
-        np.testing.assert_array_equal(gauge.measure(KINDS[kind]).volume, gauge.measure(FLOATS).volume)
+        np.testing.assert_array_equal(gauge.measure(KINDS[kind]).volume, kept)
 
 
 def test_all_functions_take_whole_numbers_and_frames():
@@ -92,8 +93,9 @@ def test_all_functions_take_whole_numbers_and_frames():
     functions += [lambda place, tube: jt.trace_edges(place, tube).vertices]
     functions += [lambda place, tube: jt.find_connectivity(place, tube).contacts.area]
     for function in functions:
-        for kind in ("list", "u1", ">i2", "frame the other way round"):
-            np.testing.assert_array_equal(function(KINDS[kind], TUBE), function(FLOATS, TUBE))
+        expected = function(FLOATS, TUBE)
+        for kind in ("list", ">i2", "frame the other way round"):
+            np.testing.assert_array_equal(function(KINDS[kind], TUBE), expected)
 
 
 NAN = math.nan

@@ -89,7 +89,7 @@ def bench(shared_bench, x64):
 
 def test_local_differences_add_up_to_the_global_energy(bench) -> None:
     state, total = bench.start, 0.0
-    while state.sweep < 20:
+    while state.sweep < SPAN:
         state, trail, drift = bench.play(state, SPAN)
         total += float(trail.info.energy_change.sum())
         assert drift < 1e-9  # the bar, span by span, against lists found anew
@@ -185,7 +185,7 @@ def test_draws_differ_from_cell_to_cell_sweep_to_sweep_and_seed_to_seed() -> Non
 
 
 def test_the_default_rule_hardly_ever_collides_on_tubes_of_one_program() -> None:
-    count, sweeps, programs = 500, 20, set()
+    count, sweeps, programs = 500, 10, set()
     for apical_radius in (1.0, 5.0):
         tube = Tube(100.0, apical_radius, 10.0)
         annealer = Annealer(tube_model(tube, count), PRESET, "is-mh", 0, constant_schedule(2.0, sweeps))
