@@ -5,7 +5,7 @@ STAMP := .venv/.installed
 LOWEST := import tomllib; needs = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
     print(*(need.replace(">=", "==") for need in needs), sep="\n")
 
-.PHONY: setup demo test notebooks lint smoke clean
+.PHONY: setup demo test notebooks lint smoke smoke-pinned smoke-newest smoke-lowest clean
 
 setup: $(STAMP)
 
@@ -32,12 +32,14 @@ lint: setup
 	$(BIN)/ruff format --check
 	$(BIN)/pyright
 
-# the newest and the lowest versions that pyproject.toml allows compute what the pinned ones do
-smoke: setup .venv-newest/.installed .venv-lowest/.installed
+# the newest and the lowest versions that pyproject.toml allows compute what the pinned ones do; `make -j2 smoke`
+smoke: smoke-newest smoke-lowest
+
+smoke-pinned: setup
 	$(BIN)/python tests/smoke.py .venv/smoke.json
-	.venv-newest/bin/python tests/smoke.py .venv-newest/smoke.json .venv/smoke.json & newest=$$!; \
-	.venv-lowest/bin/python tests/smoke.py .venv-lowest/smoke.json .venv/smoke.json; lowest=$$?; \
-	wait $$newest && exit $$lowest
+
+smoke-newest smoke-lowest: smoke-%: .venv-%/.installed smoke-pinned
+	.venv-$*/bin/python tests/smoke.py .venv-$*/smoke.json .venv/smoke.json
 
 .venv-newest/.installed: pyproject.toml
 	python=$$(.ci/find-python 14 13 12 11) && $$python -m venv --clear .venv-newest
