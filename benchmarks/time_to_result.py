@@ -54,17 +54,19 @@ def draw_map(cells: int) -> float:
 
 def main() -> None:
     """Time all sizes and write them with the bar."""
-    out = common.output(__doc__ or "", "time_to_result")
+    parser = common.options(__doc__ or "", "time_to_result")
+    parser.add_argument("--cells", type=int, nargs="+", default=CELLS, help="numbers of cells")
+    arguments = parser.parse_args()
     rows: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as temporary:
         folder, cache = Path(temporary) / "run", Path(temporary) / "cache"
-        for cells in CELLS:
+        for cells in arguments.cells:
             turns = [anneal(cells, folder, cache) for _ in range(1 + (TURNS if cells < 50_000 else 1))]
             row = {name: float(np.median([turn[name] for turn in turns[1:]])) for name in turns[0]}
             row |= {"cold": turns[0]["whole"], "bar": OWN + SHARE * row["sweeps"], "map": draw_map(cells)}
             rows[str(cells)] = row
             print(cells, " ".join(f"{name} {seconds:.2f} s" for name, seconds in row.items()), flush=True)
-    common.write(out, {"seconds": rows, "sweeps": SWEEPS, "pixels": PIXELS[0] * PIXELS[1]})
+    common.write(arguments.out, {"seconds": rows, "sweeps": SWEEPS, "pixels": PIXELS[0] * PIXELS[1]})
 
 
 if __name__ == "__main__":
