@@ -77,7 +77,7 @@ def test_layers_are_those_of_many_lines(seed: int) -> None:
         np.testing.assert_allclose(getattr(sizes, f"{side}_perimeter"), edge, atol=2e-2 * edge.mean())
 
 
-@settings(max_examples=12, phases=(Phase.explicit, Phase.generate))  # shrinking takes minutes
+@settings(max_examples=8, phases=(Phase.explicit, Phase.generate))  # shrinking takes minutes
 @given(some.integers(0, 2**32 - 1), some.integers(2, 16), some.floats(0.02, 0.98), some.floats(0.1, 40))
 def test_sizes_turn_mirror_and_scale_with_the_tissue(seed, cells, ratio, length) -> None:
     tube = Tube(length, ratio, 1.0)
