@@ -1,7 +1,7 @@
 """The edges of the diagram, where three labels meet, followed from vertex to vertex.
 
 From seeds, edges are followed to the vertices that end them, and from each new vertex its other edges. Every
-vertex ends four edges, every edge has two ends: what is missing, or ended twice, shows as an open end.
+vertex ends four edges, every edge has two ends: what is missing shows as an open end.
 """
 
 import warnings
@@ -49,8 +49,8 @@ class EdgeGraph(NamedTuple):
 def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
     """All edges and vertices of the cells of backbones at (axial, angle) positions, [n, 2], in float64.
 
-    Every step looks at all backbones near enough to lead; where an end stays open, or two edges come in at
-    it, all is traced again in shorter steps. Where five labels meet, as on lattices, tiny weights on the
+    Every step looks at all backbones near enough to lead; where an end stays open, all is traced again in
+    shorter steps. Where five labels meet, as on lattices, tiny weights on the
     squared distances of the cells concerned part them into vertices of four. Warns of open ends. Paper,
     section 4.1.
     """
@@ -119,7 +119,6 @@ class _Growing:
         self.closed: dict[
             int, int
         ] = {}  # the other end of the edge at each end; the front of a loop at -1 - it
-        self.excess = 0  # ends at which a second edge came in
         self.begun: list[Fronts] = []
         self.count = 0
         self.edges: list[tuple[int, int, int]] = []  # front, its end, the end it came to
@@ -162,8 +161,9 @@ class _Growing:
             end = 4 * self._vertex(point, tuple(labels)) + omitted
             if left < 0 or left in self.closed:
                 continue
-            if end in self.closed:
-                self.excess += 1
+            if (
+                end in self.closed
+            ):  # one of the two went astray: whose other end stays open, or is met rightly
                 continue
             self.closed[left], self.closed[end] = end, left
             self.edges.append((number, left, end))
@@ -265,7 +265,7 @@ class _Growing:
             edge[segment],
             points,
             tangents,
-            int(4 * len(four) - len(self.closed) + self.excess + unseen.sum()),
+            int(4 * len(four) - len(self.closed) + unseen.sum()),
             0.0,
         )
         return graph, tied[:n], lost[:n]
