@@ -101,9 +101,11 @@ def doubts(cells: CellGeometry, tube: Tube, limits: tuple[float, float]) -> Iter
             worst = over[np.argsort(-np.nan_to_num(share[over], nan=np.inf))[:5]]
             listed = ", ".join(f"{cell} ({100 * share[cell]:.2g} %)" for cell in worst)
             label = name.replace("_", " ")
+            cure = "use 64 bits, move backbones that nearly coincide apart"
+            cure += ", or take a larger tolerance" if limit < min(LIMITS) else ""
             yield (
                 f"the {label} of {len(over)} of {len(size)} cells may be off by more than {100 * limit:g} %"
-                f" of the mean: cells {listed}; use 64 bits, or move backbones that nearly coincide apart"
+                f" of the mean: cells {listed}; {cure}"
             )
     total, error = (np.asarray(c, float).sum() for c in (cells.volume, cells.volume_error))
     lost = total - float(tube.volume)
