@@ -5,13 +5,12 @@ the shape of the tube and however the backbones crowd (host, float64).
 """
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float64, Int32, Int64
 
-from jaxtissue.cores import usable_threads
+from jaxtissue.cores import in_threads
 from jaxtissue.inputs import as_positions
 from jaxtissue.tube import Tube
 
@@ -81,8 +80,7 @@ def label_points(
         chunk = _in_order(points[start : start + _CHUNK])
         labels[start + chunk.order] = _label(chunk, cells)
 
-    with ThreadPoolExecutor(usable_threads()) as pool:
-        list(pool.map(label_chunk, range(0, len(points), _CHUNK)))
+    in_threads(label_chunk, range(0, len(points), _CHUNK))
     return labels
 
 
