@@ -1,5 +1,6 @@
 """The reference tubes and the two precisions, for all tests."""
 
+import gc
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -22,6 +23,8 @@ from jaxtissue.tube import Tube
 
 DATA = Path(__file__).parent / "data"
 REFERENCES = sorted(path.stem for path in DATA.glob("*.npz"))
+
+gc.set_threshold(20_000, 20, 50)  # tracing makes many objects: to look through them takes a tenth of all time
 
 settings.register_profile("jaxtissue", deadline=None, derandomize=True, database=None, max_examples=30)
 settings.load_profile("jaxtissue")

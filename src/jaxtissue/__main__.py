@@ -1,8 +1,10 @@
 """`python -m jaxtissue` is the command line."""
 
+import gc
 import os
 import sys
 
+from jaxtissue import kept
 from jaxtissue.cli import main
 
 
@@ -11,7 +13,11 @@ def run() -> None:
 
     A command that was stopped does not wait for threads that still compile.
     """
+    gc.freeze()  # what was imported stays, and need not be looked through
+    gc.enable()  # `stopping` put it off until here
+    kept.is_on = True
     code = main()
+    gc.freeze()
     if code > 128:
         sys.stderr.flush()
         os._exit(code)

@@ -1,4 +1,7 @@
-"""The command line. Results go to stdout, progress and errors to stderr."""
+"""The command line. Results go to stdout, progress and errors to stderr.
+
+What only one command needs, it imports itself: to import matplotlib or the reproduction takes half a second.
+"""
 
 import os
 import signal
@@ -12,22 +15,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib import style
 
-from jaxtissue import io
+from jaxtissue import io, kept
 from jaxtissue.arguments import TUBE_SIZES, command_parser
 from jaxtissue.cluster import Part, join, slurm_part, use_cores
 from jaxtissue.energy import tube_model
 from jaxtissue.files import check_folder, make_folder, write_json
-from jaxtissue.grid_runs import check_grid_folder, run_grid
 from jaxtissue.grids import AXES, Grid
 from jaxtissue.locks import alone
 from jaxtissue.metropolis import warn_of_coarse_places
 from jaxtissue.modes import usual_modes
 from jaxtissue.programs import keep_compiled
 from jaxtissue.reading import BackboneTable, read_backbones
-from jaxtissue.reproduction.reproduce import choose_items, make_plan, reproduce
-from jaxtissue.reproduction.workers import Workers, free_cores
 from jaxtissue.runs import resume_annealing, run_annealing
 from jaxtissue.settings import Settings, provenance, versions
 from jaxtissue.statistics import find_connectivity
@@ -56,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if CONFIG.jax_enable_x64 and not arguments.get("resume"):
             arguments["x64"] = True  # as JAX_ENABLE_X64 says; a run that is resumed keeps its own
         keep_compiled()
-        with usual_modes(), style.context("default"):  # whatever the user's matplotlibrc says
+        with usual_modes():
             code = work[arguments.pop("command")](arguments)
         sys.stdout.flush()  # or it is only told at the very end that the reader has left
         return code
@@ -69,6 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, 1)
     except (RuntimeError, AssertionError):
         if _has_device():
+            kept.forget_loaded()
             raise
         return _fail(f"JAX has no device for JAX_PLATFORMS={CONFIG.jax_platforms}; correct or unset it", 2)
     except MemoryError as error:
@@ -96,6 +96,8 @@ def anneal(arguments: dict[str, Any]) -> int:
 
 def sweep(arguments: dict[str, Any]) -> int:
     """Anneal a grid of tissues into one table, or what is missing of it."""
+    from jaxtissue.grid_runs import check_grid_folder, run_grid
+
     folder, force, batch = (arguments.pop(name) for name in ("out", "force", "batch"))
     places = [arguments.pop(name) for name in ("part", "slurm", "distributed", "coordinator", "process")]
     _use_x64(arguments["x64"])
@@ -182,6 +184,9 @@ def compare(arguments: dict[str, Any]) -> int:
 
 def reproduce_paper(arguments: dict[str, Any]) -> int:
     """Make the paper's table and figures, and a report that sets its numbers beside ours."""
+    from jaxtissue.reproduction.reproduce import choose_items, make_plan, reproduce
+    from jaxtissue.reproduction.workers import Workers, free_cores
+
     items = choose_items(arguments["items"])
     _use_x64(arguments["x64"])
     use_cores(1)

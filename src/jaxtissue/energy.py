@@ -96,6 +96,9 @@ def cell_energies(cells: CellGeometry, model: Model) -> Float[Array, "cells"]:
     return found
 
 
+tissue_energies = jax.jit(cell_energies)  # outside of other programs: one instead of one for each operation
+
+
 def check_energy(model: Model) -> None:
     """Raise `ValueError` for an energy that can't be annealed in the precision JAX works in.
 
@@ -110,7 +113,9 @@ def check_energy(model: Model) -> None:
         volume: Any = np.array([0.5, 1.001, 1.5, 2], dtype) * model.mean_volume
         area: Any = np.array([5, 6, 7, 8], dtype) * model.mean_volume ** dtype.type(2 / 3)
     try:
-        energy, part = (_try(CellGeometry(volume[:count], area[:count]), model) for count in (4, 2))
+        energy, part = (
+            tissue_energies(CellGeometry(volume[:count], area[:count]), model) for count in (4, 2)
+        )
     except (TypeError, IndexError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"{_name(model)} fails ({reason}); give a function of each cell alone") from error
@@ -135,11 +140,6 @@ def require_finite(energies: Any, model: Model) -> None:
     found = f"{_name(model)} is {energy[~np.isfinite(energy)][0]} in {energy.dtype} ({constants})"
     single = energy.dtype == np.float32
     raise ValueError(f"{found}; change units{f' or {X64}' if single else ''}, or correct the energy")
-
-
-@jax.jit
-def _try(cells: CellGeometry, model: Model) -> Float[Array, "cells"]:
-    return cell_energies(cells, model)
 
 
 def _check_constant(name: str, value: Any) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike, Float
 from scipy import sparse
-from scipy.optimize import OptimizeWarning, curve_fit
 from scipy.special import expit
 
 from jaxtissue.contacts import Contacts
@@ -57,6 +56,8 @@ def fit_neighbor_law(ratios: Float[ArrayLike, " k"], neighbors: Float[ArrayLike,
     >>> round(law.low, 3), round(law.high, 3), round(law.middle, 3), round(law.steepness, 3)
     (6.0, 10.0, 5.0, 1.0)
     """
+    from scipy.optimize import OptimizeWarning, curve_fit  # takes a fifth of a second to import
+
     ratio, found = np.asarray(ratios, float), np.asarray(neighbors, float)
     if ratio.shape != found.shape or ratio.ndim != 1 or len(np.unique(ratio)) < 4:
         raise ValueError(f"{ratio.shape} ratios, {found.shape} neighbors; give four different ratios or more")

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
-from scipy.interpolate import CubicSpline
 
 from jaxtissue.tube import Tube
 
@@ -160,6 +159,8 @@ def _layer_rule(inner: float, outer: float, layers: int) -> tuple[np.ndarray, np
         return np.array([(inner + outer) / 2]), np.array([outer - inner])
     share = (np.arange(layers) + INSET) / (layers - 1 + 2 * INSET)
     radius = (math.sqrt(inner) + (math.sqrt(outer) - math.sqrt(inner)) * share) ** 2
+    from scipy.interpolate import CubicSpline  # takes a third of a second to import
+
     spline = CubicSpline(radius, np.eye(layers), bc_type="natural")
     weight = spline.integrate(radius[0], radius[-1])
     for end, surface in ((radius[0], inner), (radius[-1], outer)):  # beyond its knots it is straight

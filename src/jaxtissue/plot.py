@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 import matplotlib as mpl
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
+from matplotlib import style
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
@@ -41,8 +43,14 @@ def save_figure(path: Path, draw: Callable[[], tuple[Figure, Any]]) -> None:
     """Write what `draw` draws as PNG; where that fails leave it out with a warning, as results do without."""
     image = BytesIO()
     try:
-        figure, _ = draw()
-        figure.savefig(image, format="png", dpi=150)
+        with style.context("default"):  # whatever the user's matplotlibrc says
+            figure, _ = draw()
+            figure.set_dpi(150)
+            # `savefig` would lay out and draw everything twice
+            if layout := figure.get_layout_engine():
+                layout.execute(figure)
+                figure.set_layout_engine("none")
+            FigureCanvasAgg(figure).print_png(image)
     except Exception as error:
         path.unlink(missing_ok=True)
         warnings.warn(f"{path.name} can't be drawn ({error}); it is left out", stacklevel=2)

@@ -14,6 +14,7 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
+from uuid import uuid4
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ import numpy as np
 import platformdirs
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
+from jaxtissue import kept
 from jaxtissue.lowering import options
 
 T = TypeVar("T")
@@ -96,7 +98,7 @@ def keep_compiled() -> None:
         if not usual.is_absolute():
             return
         jax.config.update("jax_compilation_cache_dir", str(usual))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     folder = Path(config.jax_compilation_cache_dir)
     if not _is_private(folder):
         jax.config.update("jax_compilation_cache_dir", None)
@@ -206,14 +208,34 @@ def _run_alike(requests: Sequence[Request], slots: int, devices: int) -> list[An
 
 
 def _compiling(asked: Request | Ahead, mesh: Mesh, batch: tuple) -> Callable[[], Callable]:
-    """What compiles the program for arguments of these shapes, spread over the mesh; here it is traced."""
-    sharding = NamedSharding(mesh, PartitionSpec(AXIS))
+    """What gives the program for arguments of these shapes, spread over the mesh: it compiles what is traced
+    here, or loads what was kept."""
+    sharding, chosen = NamedSharding(mesh, PartitionSpec(AXIS)), options(light=asked.seldom)
+    key = kept.key_of(asked.function, batch, chosen, mesh.size)
 
     def shape(leaf: Any) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding)
 
-    lowered = jax.jit(_lifted(asked.function, mesh)).lower(*jax.tree.map(shape, batch))
-    return lambda: lowered.compile(options(light=asked.seldom))
+    def trace() -> Callable[[], Callable]:
+        def program(*arguments: Any) -> Any:
+            return _lifted(asked.function, mesh)(*arguments)
+
+        program.__name__ = asked.function.__name__
+        if key is not None:  # what JAX's cache gives can't be kept: by this name it holds nothing
+            program.__name__ += f"_{uuid4().hex}"
+        lowered = jax.jit(program).lower(*jax.tree.map(shape, batch))
+
+        def compiled() -> Callable:
+            done = lowered.compile(chosen)
+            if key is not None:
+                kept.save(key, done)
+            return done
+
+        return compiled
+
+    if key is not None and kept.has(key):
+        return lambda: kept.load(key, batch) or trace()()
+    return trace()
 
 
 def _compile_ahead(step: Ahead, slots: int, devices: int) -> None:

@@ -5,7 +5,9 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import jax.numpy as jnp
@@ -19,7 +21,6 @@ from jaxtissue.files import (
     open_own,
 )
 from jaxtissue.locks import alone
-from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes, save_figure
 from jaxtissue.records import AcceptanceWatch
 from jaxtissue.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
 from jaxtissue.schedules import has_stalled
@@ -92,7 +93,11 @@ def _go_on(run: Run, stop: Stop) -> int:
 
 
 def _sweep(run: Run, stop: Stop) -> bool:
-    """Sweep, write each row, save every few seconds; whether the run came to its end."""
+    """Sweep, write each row, save every few seconds; whether the run came to its end.
+
+    Meanwhile, as the device computes, what draws the figures is imported.
+    """
+    Thread(target=import_module, args=("jaxtissue.plot",), daemon=True).start()
     path, settings = run.folder / "sweeps.csv", run.settings
     energies, watch = io.read_sweeps(path)["energy"].tolist(), AcceptanceWatch(settings.cells)
 
@@ -133,6 +138,8 @@ def _sweep(run: Run, stop: Stop) -> bool:
 def _finish(run: Run, ended: bool = True) -> None:
     """Write what a run leaves: tables, figures, the manifest, by which it is finished if it ended; print the
     result."""
+    from jaxtissue.plot import Tissue, plot_energy, plot_surfaces, plot_volumes, save_figure
+
     say("measuring and drawing" if run.settings.no_contacts else "measuring, tracing contacts, drawing")
     model, settings = run.annealer.model, run.settings
     connectivity, place = None, run.state.positions

@@ -1,6 +1,7 @@
 """How a process is stopped from outside: at once in one line, or a run after the sweeps it is in."""
 
 import contextlib
+import gc
 import os
 import signal
 import sys
@@ -52,6 +53,7 @@ def answer_signals() -> None:
     is_command = Path(name).stem == "jaxtissue" or (name == "-m" and "jaxtissue" in sys.orig_argv)
     if not is_command or os.name != "posix":
         return
+    gc.disable()
     told, tell = os.pipe()
     os.set_blocking(tell, False)
     threading.Thread(target=_answer, args=(told,), daemon=True).start()

@@ -15,7 +15,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from jaxtissue import io
 from jaxtissue.diagrams import as_limits, doubts, measure_tissue
-from jaxtissue.energy import Model, cell_energies, require_finite
+from jaxtissue.energy import Model, require_finite, tissue_energies
 from jaxtissue.exact import exact_cells
 from jaxtissue.files import replacing
 from jaxtissue.lines import PRESETS, Resolution
@@ -55,7 +55,7 @@ def tabulate_cells(
             warnings.warn(message, stacklevel=2)
     else:
         cells, overflow = measure_tissue(place, model.tube, resolution, tolerance=tolerance)
-    energy = np.asarray(cell_energies(cells, model))
+    energy = np.asarray(tissue_energies(cells, model))
     require_finite(energy, model)
     columns = {"cell": np.arange(len(axial)), "axial": axial, "angle": angle}
     columns |= {name: np.asarray(getattr(cells, name)) for name in (*_SIZES, *_ERRORS)}

@@ -95,12 +95,7 @@ class Tube(eqx.Module):
         >>> Tube(10, 1, 2).reflect(jnp.array([[-1.0, 0.5], [23.0, 1.0]])).tolist()
         [[1.0, 0.5], [3.0, 1.0]]
         """
-        folded = jnp.mod(jnp.abs(positions[:, 0]), 2 * self.length)
-        axial = jnp.where(folded > self.length, 2 * self.length - folded, folded)
-        turned = jnp.mod(positions[:, 1], 2 * math.pi)
-        # A tiny negative angle rounds up to a full turn.
-        angle = jnp.where(turned >= 2 * math.pi, 0, turned)
-        return jnp.stack([axial, angle], axis=-1)
+        return _reflect(self.length, positions)
 
     @usual_modes()
     def random_positions(self, key: PRNGKeyArray, count: int) -> Float[Array, "n 2"]:
@@ -112,6 +107,16 @@ class Tube(eqx.Module):
         if count < 1:
             raise ValueError(f"count={count} backbones fill no tissue; give at least 1")
         return _random_positions(self, key, count)
+
+
+@functools.partial(jax.jit, inline=True)
+def _reflect(length: float | Array, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+    folded = jnp.mod(jnp.abs(positions[:, 0]), 2 * length)
+    axial = jnp.where(folded > length, 2 * length - folded, folded)
+    turned = jnp.mod(positions[:, 1], 2 * math.pi)
+    # A tiny negative angle rounds up to a full turn.
+    angle = jnp.where(turned >= 2 * math.pi, 0, turned)
+    return jnp.stack([axial, angle], axis=-1)
 
 
 def _check_size(name: str, size: float | Array | np.ndarray) -> None:
