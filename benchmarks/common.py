@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxtissue as jt
-from jaxtissue.settings import processor, provenance
+from jaxtissue.runs.settings import processor, provenance
 
 HERE = Path(__file__).resolve().parent
 REFERENCES = HERE.parent / "tests" / "data"

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxtissue as jt
-from jaxtissue.lowering import options
+from jaxtissue.compilation.fusion import options
 
 CASES = ("R_a = 1", "R_a = 5")
 CALLS = 15  # timed in a row, about as long as the peer's three; their median is the answer

@@ -22,8 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxtissue as jt
-from jaxtissue.anneal import SPAN
-from jaxtissue.lowering import options
+from jaxtissue.compilation.fusion import options
+from jaxtissue.dynamics.annealer import SPAN
 
 CELLS, REPLICAS = (500, 10_000, 100_000, 1_000_000), (1, 64, 1024)
 DRAFT = jt.PRESETS["draft"]

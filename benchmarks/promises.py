@@ -20,8 +20,8 @@ import jax
 import numpy as np
 
 import jaxtissue as jt
-from jaxtissue.anneal import SPAN
-from jaxtissue.programs import PROGRAMS
+from jaxtissue.compilation.batching import PROGRAMS
+from jaxtissue.dynamics.annealer import SPAN
 
 CELLS, SWEEPS, SEEDS = 500, 100, 5
 RADII = (1.0, 5.0, 2.0, 8.0)

@@ -17,7 +17,7 @@ import numpy as np
 from peer import Peer, find_peer
 
 import jaxtissue as jt
-from jaxtissue.anneal import SPAN
+from jaxtissue.dynamics.annealer import SPAN
 
 RESOLUTIONS = ("draft", "standard", "fine", "3x4", "4x3.3", "7x7")
 ALGORITHMS, SAMPLES = ("incremental MH", "IS-MH"), (4, 10, 50)

@@ -27,11 +27,11 @@ from typing import Any
 import common
 import numpy as np
 
-import jaxtissue.runs
-from jaxtissue.cli import main as command
-from jaxtissue.files import check_files, read_sealed
-from jaxtissue.locks import NAME as LOCK
-from jaxtissue.run_files import RESULTS
+import jaxtissue.runs.annealing
+from jaxtissue.cli.commands import main as command
+from jaxtissue.runs.run_files import RESULTS
+from jaxtissue.system.files import check_files, read_sealed
+from jaxtissue.system.locks import NAME as LOCK
 
 TUBE = ["--length", "12", "--apical-radius", "2", "--basal-radius", "4", "--cells", "30"]
 SWEEPS = 203  # no whole number of spans: the rows at the end are not in the checkpoint
@@ -121,7 +121,7 @@ def kills(count: int, place: Path) -> dict[str, Any]:
         time.sleep(life * at)
         os.kill(process, signal.SIGKILL)
         wait(process)
-    jaxtissue.runs.save_figure = lambda *_: None  # they take most of the time, and are not compared
+    jaxtissue.runs.annealing.save_figure = lambda *_: None  # they take most of the time, and are not compared
     moments: Counter[str] = Counter()
     results: Counter[str] = Counter({"same": 0, "silent": 0, "traceback": 0, "refused": 0})
     for folder in folders:
@@ -144,7 +144,7 @@ def outcome(told: Told, is_same: bool) -> str:
 
 def kill_after_checkpoint(folder: Path) -> None:
     """Leave in a folder what a run leaves that is killed some rows after its second checkpoint."""
-    jaxtissue.runs.CHECKPOINT_SECONDS = 0.5  # or a short run has no second one before its end
+    jaxtissue.runs.annealing.CHECKPOINT_SECONDS = 0.5  # or a short run has no second one before its end
     checkpoint, table = folder / "checkpoint.npz", folder / "sweeps.csv"
     process = start(folder.with_suffix(".log"), *RUN, "--out", str(folder))
     seen, rows = set(), SWEEPS

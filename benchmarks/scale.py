@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 import jaxtissue as jt
-from jaxtissue.anneal import SPAN
+from jaxtissue.dynamics.annealer import SPAN
 
 WARM_UP = 2 * SPAN  # sweeps before those that are timed: in the first, lists are renewed more often
 FEW = 5000  # cells; of fewer more tissues are annealed, as many moves in all

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from matplotlib.figure import Figure
 
 import jaxtissue as jt
-from jaxtissue.anneal import SPAN
-from jaxtissue.programs import PROGRAMS
+from jaxtissue.compilation.batching import PROGRAMS
+from jaxtissue.dynamics.annealer import SPAN
 
 SWEEPS = 100
 LOOKS = (0, 1, 2, 5, 10, 20, 30, 50, 75, 100)

@@ -17,9 +17,11 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from matplotlib.figure import Figure
 from quick import ASKED, quick_options
 
-from jaxtissue import candidates, diagrams, plot, refinement
-from jaxtissue.programs import PROGRAMS, Request, Task
-from jaxtissue.tube import Tube
+from jaxtissue.compilation.batching import PROGRAMS, Request, Task
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.neighbors import search
+from jaxtissue.runs import plots
+from jaxtissue.tissue import measurer, refinement
 
 DATA = Path(__file__).parent / "data"
 REFERENCES = sorted(path.stem for path in DATA.glob("*.npz"))
@@ -56,7 +58,7 @@ def forget_programs() -> None:
         if isinstance(program, Future):
             program.exception()
     PROGRAMS.clear()
-    for kept in (candidates._checking, diagrams._seeing, refinement.measuring):
+    for kept in (search._checking, measurer._seeing, refinement.measuring):
         kept.cache_clear()
 
 
@@ -102,7 +104,7 @@ def coarse_pictures():
         save(figure, *arguments, **options | {"dpi": 30})
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plot, "_PIXELS", (100, 48))
+        patch.setattr(plots, "_PIXELS", (100, 48))
         patch.setattr(Figure, "savefig", save_coarsely)
         yield
 

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
-from jaxtissue import candidates, diagrams, lowering, programs, refinement
 from jaxtissue.__main__ import run as run_command
-from jaxtissue.lowering import is_option
+from jaxtissue.compilation import batching, fusion
+from jaxtissue.compilation.fusion import is_option
+from jaxtissue.neighbors import search
+from jaxtissue.tissue import measurer, refinement
 
 Options = dict[str, str | bool]
 ASKED = "JAXTISSUE_TESTS_COMPILE"  # the variable by which processes are told how to compile
@@ -31,14 +33,14 @@ def quick_options(replicas_as_alone: bool) -> dict[ModuleType, Callable[..., Opt
 
     With `replicas_as_alone`, what is compiled for replicas has the usual ones.
     """
-    usual = lowering.options
+    usual = fusion.options
 
     def quick(light: bool = False) -> Options:
         found = {name: value for name, value in usual(light).items() if name != LEVEL}
         return found | {name: value for name, value in QUICK.items() if is_option(name, value)}
 
-    modules = {lowering, candidates, diagrams, programs, refinement}
-    return dict.fromkeys(modules - {programs} if replicas_as_alone else modules, quick)
+    modules = {fusion, search, measurer, batching, refinement}
+    return dict.fromkeys(modules - {batching} if replicas_as_alone else modules, quick)
 
 
 def command(*arguments: object) -> list[str | bytes]:

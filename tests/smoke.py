@@ -15,8 +15,8 @@ from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 
-from jaxtissue.cli import main
-from jaxtissue.settings import versions
+from jaxtissue.cli.commands import main
+from jaxtissue.runs.settings import versions
 
 CLOSE = 1e-5  # of each number, or of 1 where it is smaller; sets of versions were seen to differ by 1.1e-6
 TUBE = ("--length", "12", "--apical-radius", "2", "--basal-radius", "4")

@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtissue import shortlists
-from jaxtissue.anneal import SPAN, Annealer, AnnealState, renews_at
-from jaxtissue.coloring import CONFLICTS
+from jaxtissue.compilation.batching import PROGRAMS, run_together
+from jaxtissue.dynamics.annealer import SPAN, Annealer, AnnealState, renews_at
+from jaxtissue.dynamics.coloring import CONFLICTS
+from jaxtissue.dynamics.schedules import constant_schedule, geometric_schedule, has_stalled
 from jaxtissue.energy import epithelial_energy, tube_model
-from jaxtissue.lines import PRESETS
-from jaxtissue.programs import PROGRAMS, run_together
-from jaxtissue.schedules import constant_schedule, geometric_schedule, has_stalled
-from jaxtissue.tube import Tube
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.quadrature import PRESETS
+from jaxtissue.neighbors import shortlists
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 

@@ -5,8 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtissue import lowering
-from jaxtissue.candidates import (
+from jaxtissue.compilation import fusion
+from jaxtissue.diagram.exact import exact_cells
+from jaxtissue.dynamics.metropolis import move_bound
+from jaxtissue.dynamics.spans import look
+from jaxtissue.dynamics.survey import MARGIN
+from jaxtissue.energy import tube_model
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.axial_lines import LEVEL
+from jaxtissue.measurement.cells import measure_cells
+from jaxtissue.measurement.quadrature import PRESETS, plan_lines
+from jaxtissue.neighbors.search import (
     NEAREST,
     contact_graph,
     find_candidates,
@@ -18,12 +27,7 @@ from jaxtissue.candidates import (
     sided,
     spacing,
 )
-from jaxtissue.cells import measure_cells
-from jaxtissue.energy import tube_model
-from jaxtissue.exact import exact_cells
-from jaxtissue.lines import PRESETS, plan_lines
-from jaxtissue.metropolis import move_bound
-from jaxtissue.shortlists import (
+from jaxtissue.neighbors.shortlists import (
     CANDIDATES,
     STOPS,
     TOUCHES,
@@ -36,10 +40,6 @@ from jaxtissue.shortlists import (
     nearest_sides,
     sight_lines,
 )
-from jaxtissue.spans import look
-from jaxtissue.surveys import MARGIN
-from jaxtissue.tube import Tube
-from jaxtissue.views import LEVEL
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 
@@ -54,7 +54,7 @@ def tissue():
     positions = TUBE.random_positions(jax.random.key(3), CELLS)
     sides, clear = looked_at(positions)
     lines = plan_lines(TUBE, CELLS, PRESETS["draft"])
-    _, seen = jax.jit(measure_cells, compiler_options=lowering.options())(positions, TUBE, lines, sides)
+    _, seen = jax.jit(measure_cells, compiler_options=fusion.options())(positions, TUBE, lines, sides)
     return positions, sides, np.asarray(seen.touched), clear, contact_graph(sides, seen.touched)
 
 
@@ -62,7 +62,7 @@ def looked_at(positions) -> tuple[np.ndarray, np.ndarray]:
     """Candidates, and how clear they are."""
     sides = find_candidates(positions, TUBE, MARGIN * BOUND)
     lines = plan_lines(TUBE, CELLS, PRESETS["draft"]), sight_lines(TUBE, CELLS, PRESETS["draft"])
-    _, clear, _ = jax.jit(look, compiler_options=lowering.options())(
+    _, clear, _ = jax.jit(look, compiler_options=fusion.options())(
         positions, tube_model(TUBE, CELLS), lines, sides
     )
     return sides, from_both(np.asarray(clear), both_views(sides))

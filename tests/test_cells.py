@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from conftest import REFERENCES, read_reference
 
-from jaxtissue import lowering
-from jaxtissue.candidates import TILES, find_candidates, find_defect, sided
-from jaxtissue.cells import CellGeometry, measure_cells
-from jaxtissue.diagrams import measure_tissue
-from jaxtissue.exact import exact_cells
-from jaxtissue.lines import PRESETS, REACH, plan_lines
-from jaxtissue.tube import Tube
+from jaxtissue.compilation import fusion
+from jaxtissue.diagram.exact import exact_cells
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.cells import CellGeometry, measure_cells
+from jaxtissue.measurement.quadrature import PRESETS, REACH, plan_lines
+from jaxtissue.neighbors.search import TILES, find_candidates, find_defect, sided
+from jaxtissue.tissue.measurer import measure_tissue
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 
@@ -38,7 +38,7 @@ def measure_among_all(positions, tube: Tube, preset: str = "standard") -> CellGe
     """Sizes of the cells where everyone is everyone's candidate."""
     everyone = np.broadcast_to(np.arange(len(positions), dtype=np.int32), (len(positions),) * 2)
     lines = plan_lines(tube, len(positions), PRESETS[preset], REACH, surfaces=True)
-    return jax.jit(measure_cells, compiler_options=lowering.options())(
+    return jax.jit(measure_cells, compiler_options=fusion.options())(
         positions, tube, lines, sided(everyone, positions, tube)
     )[0]
 
@@ -131,8 +131,8 @@ def test_subsets_and_replicas_measure_as_the_whole_alone() -> None:
         return jnp.stack([found.volume, found.lateral_area])
 
     some = jnp.array([7, 2, 2, 11])
-    measure_some = jax.jit(measure, compiler_options=lowering.options())
-    measure_all = jax.jit(jax.vmap(measure, (0, 0, 0, None)), compiler_options=lowering.options())
+    measure_some = jax.jit(measure, compiler_options=fusion.options())
+    measure_all = jax.jit(jax.vmap(measure, (0, 0, 0, None)), compiler_options=fusion.options())
     together = measure_all(positions, tubes, lines, jnp.arange(12))
     for k, tube in enumerate(each):
         alone = measure_some(positions[k], tube, planned[k], some)
@@ -210,7 +210,7 @@ def test_the_width_of_windows_changes_nothing(tissue, reach: float) -> None:
     tube, positions, _ = tissue
     positions = jnp.asarray(positions, jnp.float32)
     sides = find_candidates(positions, tube)
-    measure = jax.jit(measure_cells, compiler_options=lowering.options())
+    measure = jax.jit(measure_cells, compiler_options=fusion.options())
     windows = [plan_lines(tube, len(positions), PRESETS["draft"], width) for width in (REACH, reach)]
     if reach < 1:
         assert len(windows[1].number) < 0.3 * len(windows[0].number)

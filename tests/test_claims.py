@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from jaxtissue.laws import NeighborLaw
 from jaxtissue.reproduction import published
 from jaxtissue.reproduction.claims import MET, NOISY, NOT_COMPARABLE, NOT_MET, Claims, mean_range
 from jaxtissue.reproduction.experiments import QUICK, THRESHOLDS, Plan
@@ -11,7 +10,8 @@ from jaxtissue.reproduction.ratio_claims import explain_plateau
 from jaxtissue.reproduction.report import JUDGES, judge_items, summarize, title, write_report
 from jaxtissue.reproduction.time_claims import write_times
 from jaxtissue.reproduction.timings import RULES
-from jaxtissue.statistics import KIND_ORDER
+from jaxtissue.topology.neighbor_law import NeighborLaw
+from jaxtissue.topology.statistics import KIND_ORDER
 
 FULL = Plan(seeds=3)
 SAVES = "the more cells there are, the larger a share of the diagrams IS-MH saves"

@@ -16,12 +16,13 @@ import pytest
 import quick
 
 import jaxtissue
-from jaxtissue import edges, io, tables
-from jaxtissue.anneal import Annealer
-from jaxtissue.cli import main
-from jaxtissue.lines import PRESETS
-from jaxtissue.reading import read_backbones
-from jaxtissue.tube import Tube
+from jaxtissue.cli.commands import main
+from jaxtissue.dynamics.annealer import Annealer
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.quadrature import PRESETS
+from jaxtissue.runs import reports, storage
+from jaxtissue.runs.backbone_files import read_backbones
+from jaxtissue.topology import edges
 
 pytestmark = pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
 SIZES = ("--length", "12", "--apical-radius", "2", "--basal-radius", "4")
@@ -210,7 +211,7 @@ def test_a_signal_ends_the_span_saves_and_leaves(annealed, tmp_path, monkeypatch
     error = capsys.readouterr().err
     assert f"stopped by {number.name} after sweep 40 of 50" in error and "--resume" in error
     assert (
-        io.load_checkpoint(folder / "checkpoint.npz").state.sweep
+        storage.load_checkpoint(folder / "checkpoint.npz").state.sweep
         == 40
         == count_rows(folder / "sweeps.csv") - 1
     )
@@ -238,7 +239,7 @@ def test_a_users_backbones_are_annealed_under_their_names(annealed, tmp_path):
     table = read_table(annealed / "backbones.csv")
     axial, angle = column(table, "axial"), column(table, "angle") - 4
     names = [f"cell {k}" for k in range(16, 0, -1)]
-    io.write_backbones(path, np.stack([axial, angle], axis=-1), names)
+    storage.write_backbones(path, np.stack([axial, angle], axis=-1), names)
     run = ["anneal", *SIZES, "--backbones", str(path), "--out", str(folder)]
     assert main([*run, "--sweeps", "2"]) == 0
     cells, initial = read_table(folder / "cells.csv"), read_table(folder / "initial_backbones.csv")
@@ -250,12 +251,12 @@ def test_a_users_backbones_are_annealed_under_their_names(annealed, tmp_path):
     assert column(initial, "axial").tolist() == axial.tolist()
     np.testing.assert_allclose(column(initial, "angle"), angle % (2 * np.pi), atol=1e-12)
     assert main([*run, "--resume"]) == 0  # the same file is no change
-    io.write_backbones(path, np.stack([axial, angle + 0.1], axis=-1), names)
+    storage.write_backbones(path, np.stack([axial, angle + 0.1], axis=-1), names)
     assert main([*run, "--resume"]) == 2
 
 
 def write_reference(reference, path):
-    io.write_backbones(path, reference.positions)
+    storage.write_backbones(path, reference.positions)
     sizes = {"L": "--length", "Ra": "--apical-radius", "Rb": "--basal-radius"}
     return [
         str(path),
@@ -412,7 +413,7 @@ def test_a_single_cell_has_no_separation_and_no_walls(tmp_path):
 
 def test_compare_shows_finer_presets_to_be_better(annealed, tmp_path, capsys, monkeypatch):
     presets = {name: PRESETS[name] for name in ("draft", "fine")}  # those compiled already
-    monkeypatch.setattr(tables, "PRESETS", presets)
+    monkeypatch.setattr(reports, "PRESETS", presets)
     run = ["compare", str(annealed / "initial_backbones.csv"), *SIZES, "--samples", "40"]
     assert main([*run, "--out", str(tmp_path / "c")]) == 0
     rows = read_table(tmp_path / "c" / "compare.csv")
@@ -506,7 +507,7 @@ def test_force_removes_only_what_a_run_writes(tmp_path):
     assert (folder / "checkpoint.npz").read_text() == "old"
     assert main([*SMALL, "--sweeps", "1", "--out", str(folder), "--force"]) == 0
     assert (folder / "notes.txt").read_text() == "mine"
-    assert io.load_checkpoint(folder / "checkpoint.npz").state.sweep == 1
+    assert storage.load_checkpoint(folder / "checkpoint.npz").state.sweep == 1
     assert count_rows(folder / "sweeps.csv") == 2
 
 

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import sparse
 
-from jaxtissue.coloring import color, distance_conflicts, hop_conflicts
-from jaxtissue.rounds import cut
+from jaxtissue.dynamics.coloring import color, distance_conflicts, hop_conflicts
+from jaxtissue.dynamics.independent_sets import cut
 
 
 def random_graph(n: int, degree: float, seed: int) -> nx.Graph:

@@ -6,11 +6,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from jaxtissue.contacts import KINDS, find_contacts
-from jaxtissue.edges import EdgeGraph, _trace, trace_edges
-from jaxtissue.leads import Leads
-from jaxtissue.transitions import find_forms, find_transitions
-from jaxtissue.tube import Tube
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.topology.bisectors import Leads
+from jaxtissue.topology.contacts import KINDS, find_contacts
+from jaxtissue.topology.edges import EdgeGraph, _trace, trace_edges
+from jaxtissue.topology.transitions import find_forms, find_transitions
 
 PAIRS = {
     "apical_basal": "pairs_both",

@@ -9,14 +9,14 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from jaxtissue import edges
-from jaxtissue.contacts import find_contacts
-from jaxtissue.edges import _trace, trace_edges
-from jaxtissue.exact import exact_cells
-from jaxtissue.leads import Leads
-from jaxtissue.statistics import Connectivity, find_connectivity
-from jaxtissue.transitions import find_forms, find_transitions
-from jaxtissue.tube import Tube
+from jaxtissue.diagram.exact import exact_cells
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.topology import edges
+from jaxtissue.topology.bisectors import Leads
+from jaxtissue.topology.contacts import find_contacts
+from jaxtissue.topology.edges import _trace, trace_edges
+from jaxtissue.topology.statistics import Connectivity, find_connectivity
+from jaxtissue.topology.transitions import find_forms, find_transitions
 
 AWKWARD = np.load(Path(__file__).parent / "data" / "degenerate" / "awkward.npz")
 

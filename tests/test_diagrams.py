@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from jaxtissue import PRESETS, Gauge, Resolution, Tube, measure_tissue
-from jaxtissue.candidates import TILES, find_defect
-from jaxtissue.shortlists import CANDIDATES
+from jaxtissue.neighbors.search import TILES, find_defect
+from jaxtissue.neighbors.shortlists import CANDIDATES
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 TUBE = Tube(60.0, 1.0, 8.0)

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtissue.anneal import Annealer
-from jaxtissue.cells import CellGeometry
+from jaxtissue.dynamics.annealer import Annealer
+from jaxtissue.dynamics.schedules import constant_schedule
+from jaxtissue.dynamics.sweep_log import AcceptanceWatch, SweepRecord
 from jaxtissue.energy import (
     Model,
     cell_energies,
@@ -18,9 +19,8 @@ from jaxtissue.energy import (
     tube_model,
     volume_elasticity,
 )
-from jaxtissue.records import AcceptanceWatch, SweepRecord
-from jaxtissue.schedules import constant_schedule
-from jaxtissue.tube import Tube
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.cells import CellGeometry
 
 TUBE = Tube(length=10.0, apical_radius=1.0, basal_radius=2.0)
 CELLS = CellGeometry(jnp.array([1.0, 4.0, 6.0]), jnp.array([2.0, 0.0, 5.0]))

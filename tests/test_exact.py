@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxtissue.exact import ExactDiagram, exact_cells
-from jaxtissue.tube import Tube
+from jaxtissue.diagram.exact import ExactDiagram, exact_cells
+from jaxtissue.geometry.tube import Tube
 
 DATA = Path(__file__).parent / "data"
 TUBE = Tube(length=10.0, apical_radius=1.0, basal_radius=3.0)

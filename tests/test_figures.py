@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from test_claims import ratios, runs, times
 
-from jaxtissue.laws import fit_neighbor_law
 from jaxtissue.reproduction import published
 from jaxtissue.reproduction.figures import plot_runs, plot_times, plot_volume_ranks
 from jaxtissue.reproduction.ratio_figures import plot_kinds, plot_neighbors, plot_transitions
+from jaxtissue.topology.neighbor_law import fit_neighbor_law
 
 
 def rendered(figure):

@@ -15,15 +15,15 @@ import quick
 from test_cli import column, read_table, restore_precision, without_seconds  # noqa: F401
 
 import jaxtissue
-from jaxtissue import batches
-from jaxtissue.batches import anneal_batch
-from jaxtissue.cli import main
-from jaxtissue.cluster import Part, slurm_part
-from jaxtissue.files import read_sealed
-from jaxtissue.grids import Grid
-from jaxtissue.locks import alone, together
-from jaxtissue.reading import read_backbones
-from jaxtissue.settings import Settings
+from jaxtissue.cli.commands import main
+from jaxtissue.runs import batches
+from jaxtissue.runs.backbone_files import read_backbones
+from jaxtissue.runs.batches import anneal_batch
+from jaxtissue.runs.distributed import Part, slurm_part
+from jaxtissue.runs.grids import Grid
+from jaxtissue.runs.settings import Settings
+from jaxtissue.system.files import read_sealed
+from jaxtissue.system.locks import alone, together
 
 pytestmark = pytest.mark.usefixtures("quick_compile", "coarse_pictures")
 
@@ -131,7 +131,7 @@ def test_only_what_is_missing_is_done(whole, tmp_path, monkeypatch, capsys) -> N
         done.extend((row.apical_radius, row.seed) for row in rows)
         return anneal_batch(rows, *others)
 
-    monkeypatch.setattr("jaxtissue.grid_runs.anneal_batch", noted)
+    monkeypatch.setattr("jaxtissue.runs.grid_runs.anneal_batch", noted)
     run = ["sweep", *VALUES, "--out", str(folder)]
     assert main([*run, "--part", "2/2"]) == 0
     assert "2 of 4" in capsys.readouterr().out and done == [(2.0, 1), (0.5, 1)]
@@ -237,7 +237,7 @@ def test_a_grid_grows_and_keeps_its_rows(whole, tmp_path, monkeypatch, capsys) -
         done.extend((row.apical_radius, row.seed) for row in rows)
         return anneal_batch(rows, *others)
 
-    monkeypatch.setattr("jaxtissue.grid_runs.anneal_batch", noted)
+    monkeypatch.setattr("jaxtissue.runs.grid_runs.anneal_batch", noted)
     run = ["sweep", *VALUES[:4], "--cells", "24", "--temperature", "0.5", "--sweeps", "2"]
     run += ["--out", str(folder)]
     assert main([*run, "--ratio", "8", "--seed", "1", "--batch", "4"]) == 0

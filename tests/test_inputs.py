@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxtissue as jt
-from jaxtissue.inputs import as_positions
+from jaxtissue.geometry.positions import as_positions
 
 TUBE = jt.Tube(20, 1, 3)
 WHOLE = [[1, 0], [3, 2], [7, 4], [12, 1], [18, 5], [5, 3]]

@@ -8,12 +8,12 @@ import os
 import numpy as np
 import pytest
 
-from jaxtissue import io
-from jaxtissue.anneal import AnnealState
-from jaxtissue.files import check_folder, checksum, write_json
-from jaxtissue.reading import read_backbones
-from jaxtissue.records import SweepRecord
-from jaxtissue.tube import Tube
+from jaxtissue.dynamics.annealer import AnnealState
+from jaxtissue.dynamics.sweep_log import SweepRecord
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.runs import storage
+from jaxtissue.runs.backbone_files import read_backbones
+from jaxtissue.system.files import check_folder, checksum, write_json
 
 TUBE = Tube(100, 1, 10)
 
@@ -36,7 +36,7 @@ def test_backbones_read_back_exactly(tmp_path, dtype, named):
     share = np.random.default_rng(1).random((50, 2))
     positions = (share * [100, 2 * math.pi]).astype(dtype)
     names = tuple(f"a, b\n{k} é" for k in range(50)) if named else None
-    io.write_backbones(tmp_path / "b.csv", positions, names)
+    storage.write_backbones(tmp_path / "b.csv", positions, names)
     read = read_backbones(tmp_path / "b.csv", TUBE)
     assert read.positions.tolist() == positions.astype(float).tolist()
     assert read.names == names
@@ -58,7 +58,7 @@ def test_names_that_would_break_a_table_or_be_computed_read_back_exactly(tmp_pat
         "\x85",
     )
     positions = np.stack([np.arange(1.0, 1 + len(names)), np.zeros(len(names))], axis=1)
-    io.write_backbones(tmp_path / "b.csv", positions, names)
+    storage.write_backbones(tmp_path / "b.csv", positions, names)
     written = (tmp_path / "b.csv").read_text()
     assert written.count("\n") == len(names) + 1 and written.replace("\n", "").isprintable()
     assert not [line for line in written.splitlines()[1:] if line.split(",")[2][0] in "=+-@"]
@@ -147,13 +147,13 @@ def test_json_has_no_infinity_and_no_nan(tmp_path):
 def checkpoint():
     rng = np.random.default_rng(0)
     state = AnnealState(7, rng.random((3, 2), np.float32), 56)
-    return io.Checkpoint(state, np.array([0, 5]), rng.random((2, 3, 2), np.float32), 64 * "0")
+    return storage.Checkpoint(state, np.array([0, 5]), rng.random((2, 3, 2), np.float32), 64 * "0")
 
 
 def test_checkpoints_read_back_exactly(tmp_path, checkpoint):
     path = tmp_path / "checkpoint.npz"
-    io.save_checkpoint(path, checkpoint)
-    read = io.load_checkpoint(path)
+    storage.save_checkpoint(path, checkpoint)
+    read = storage.load_checkpoint(path)
     assert [type(part) for part in read.state] == [type(part) for part in checkpoint.state]
     assert read.rows == checkpoint.rows
     for new, old in zip((*read.state, *read[1:3]), (*checkpoint.state, *checkpoint[1:3]), strict=True):
@@ -162,7 +162,7 @@ def test_checkpoints_read_back_exactly(tmp_path, checkpoint):
 
 def test_a_broken_write_leaves_the_old_checkpoint(tmp_path, checkpoint, monkeypatch):
     path = tmp_path / "checkpoint.npz"
-    io.save_checkpoint(path, checkpoint)
+    storage.save_checkpoint(path, checkpoint)
     whole = path.read_bytes()
 
     def die(file, **arrays):
@@ -171,7 +171,7 @@ def test_a_broken_write_leaves_the_old_checkpoint(tmp_path, checkpoint, monkeypa
 
     monkeypatch.setattr(np, "savez", die)
     with pytest.raises(OSError, match="disk full"):
-        io.save_checkpoint(path, checkpoint)
+        storage.save_checkpoint(path, checkpoint)
     assert path.read_bytes() == whole and [p.name for p in tmp_path.iterdir()] == ["checkpoint.npz"]
 
 
@@ -181,18 +181,18 @@ def test_a_full_disk_names_the_file(tmp_path, checkpoint, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match=r"No space left on device, writing .*checkpoint\.npz"):
-        io.save_checkpoint(tmp_path / "checkpoint.npz", checkpoint)
+        storage.save_checkpoint(tmp_path / "checkpoint.npz", checkpoint)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
 def test_damaged_checkpoints_are_refused(tmp_path, checkpoint, share):
     path = tmp_path / "checkpoint.npz"
-    io.save_checkpoint(path, checkpoint)
+    storage.save_checkpoint(path, checkpoint)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(ValueError, match="damaged"):
-        io.load_checkpoint(path)
+        storage.load_checkpoint(path)
 
 
 def write_records(path, count):
@@ -200,13 +200,13 @@ def write_records(path, count):
     with path.open("w", newline="") as file:
         for sweep, number in enumerate(numbers):
             values = dict.fromkeys(SweepRecord._fields, float(number)) | {"sweep": sweep, "rounds": 3}
-            io.write_sweep(file, SweepRecord(**values))
+            storage.write_sweep(file, SweepRecord(**values))
     return numbers
 
 
 def test_sweeps_read_back_exactly(tmp_path):
     numbers = write_records(tmp_path / "sweeps.csv", 4)
-    read = io.read_sweeps(tmp_path / "sweeps.csv")
+    read = storage.read_sweeps(tmp_path / "sweeps.csv")
     assert read["sweep"].tolist() == [0, 1, 2, 3] and read["energy"].tolist() == numbers.tolist()
     needed = "sweep,energy,volume_energy,area_energy,temperature,acceptance,rounds,collisions,seconds"
     assert ",".join(read).startswith(needed)
@@ -219,14 +219,14 @@ def test_rows_after_the_checkpoint_are_cut(tmp_path):
     path.write_bytes(whole[:-5])  # a torn last row
     short.write_bytes(b"".join(whole.splitlines(keepends=True)[:5]))
     rows = checksum(short)
-    assert io.cut_sweeps(path, 3, rows, keep=True).hexdigest() == rows
+    assert storage.cut_sweeps(path, 3, rows, keep=True).hexdigest() == rows
     assert path.read_bytes() == whole[:-5]
     with pytest.raises(ValueError, match="checksum of its rows"):
-        io.cut_sweeps(path, 4, rows)
-    io.cut_sweeps(path, 3, rows)
+        storage.cut_sweeps(path, 4, rows)
+    storage.cut_sweeps(path, 3, rows)
     assert path.read_bytes() == short.read_bytes()
     with pytest.raises(ValueError, match="no row for sweep 4"):
-        io.cut_sweeps(path, 4, rows)
+        storage.cut_sweeps(path, 4, rows)
     assert path.read_bytes() == short.read_bytes()
 
 

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtissue import labels
-from jaxtissue.labels import label_points
-from jaxtissue.spread import covering_radius
-from jaxtissue.tube import Tube
-from jaxtissue.voronoi import label_image
+from jaxtissue.diagram import point_location
+from jaxtissue.diagram.labels import label_image
+from jaxtissue.diagram.point_location import label_points
+from jaxtissue.diagram.spread import covering_radius
+from jaxtissue.geometry.tube import Tube
 
 RNG = np.random.default_rng(0)
 ROUND = 2 * math.pi
@@ -52,7 +52,7 @@ def distances_to_all(points: np.ndarray, positions: np.ndarray, tube: Tube) -> n
 
 @pytest.mark.parametrize("name", TISSUES)
 def test_points_have_the_label_of_the_nearest_of_all_backbones(name, monkeypatch):
-    monkeypatch.setattr(labels, "_CHUNK", 1500)  # so that there are several
+    monkeypatch.setattr(point_location, "_CHUNK", 1500)  # so that there are several
     tube, positions = TISSUES[name]
     points = points_of(tube)
     distances = distances_to_all(points, positions, tube)
@@ -82,14 +82,14 @@ def test_labels_turn_with_the_numbering_and_single_points_agree():
 
 def test_the_work_grows_with_points_and_backbones_alone(monkeypatch):
     pairs = []
-    narrow = labels.narrow
+    narrow = point_location.narrow
 
     def counted(center, radius, lists, cells):
         pairs.append(len(lists.cell))
         return narrow(center, radius, lists, cells)
 
-    monkeypatch.setattr(labels, "narrow", counted)
-    monkeypatch.setattr("jaxtissue.spread.narrow", counted)
+    monkeypatch.setattr(point_location, "narrow", counted)
+    monkeypatch.setattr("jaxtissue.diagram.spread.narrow", counted)
     # some 60 distances for points and cells that are few, and 200 a cell for the covering radius
     for cells in (1000, 20_000):
         tube = Tube(cells / 5, 1, 10)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxtissue.lines import layer_rule
-from jaxtissue.tube import Tube
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.quadrature import layer_rule
 
 
 @pytest.mark.parametrize("ratio", [1.0001, 2.0, 10.0, 1000.0])

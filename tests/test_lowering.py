@@ -4,13 +4,13 @@ import jax
 import numpy as np
 import pytest
 
-from jaxtissue import lowering
-from jaxtissue.candidates import find_candidates
-from jaxtissue.cells import measure_cells
-from jaxtissue.exact import exact_cells
-from jaxtissue.lines import PRESETS, plan_lines
-from jaxtissue.lowering import arctan, is_option, options
-from jaxtissue.tube import Tube
+from jaxtissue.compilation import fusion
+from jaxtissue.compilation.fusion import arctan, is_option, options
+from jaxtissue.diagram.exact import exact_cells
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.cells import measure_cells
+from jaxtissue.measurement.quadrature import PRESETS, plan_lines
+from jaxtissue.neighbors.search import find_candidates
 
 TUBE = Tube(40.0, 1.0, 8.0)
 CELLS = 150
@@ -53,7 +53,7 @@ def test_options_that_the_compiler_lacks_are_left_out(monkeypatch) -> None:
     known = options(light=True)
     assert "xla_cpu_prefer_vector_width" in known
     assert not is_option("xla_cpu_no_such_option", False)
-    monkeypatch.setattr(lowering, "is_option", lambda name, value: name != "xla_backend_optimization_level")
+    monkeypatch.setattr(fusion, "is_option", lambda name, value: name != "xla_backend_optimization_level")
     assert "xla_backend_optimization_level" not in options(light=True)
     with pytest.raises(RuntimeError, match="xla_cpu_prefer_vector_width"):  # known, but not by this value
         is_option("xla_cpu_prefer_vector_width", "wide")

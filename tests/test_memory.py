@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from jaxtissue.lines import PRESETS
-from jaxtissue.memory import BASE, estimate_memory, machine_memory, memory_warning
-from jaxtissue.tube import Tube
+from jaxtissue.dynamics.memory import BASE, estimate_memory, machine_memory, memory_warning
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.quadrature import PRESETS
 
 
 def estimate(cells: int, **options: int) -> float:

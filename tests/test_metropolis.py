@@ -7,21 +7,21 @@ import pytest
 from conftest import ask
 from scipy import stats
 
-from jaxtissue.anneal import SPAN, Annealer
-from jaxtissue.candidates import padded, sided
-from jaxtissue.cells import measure_cells
-from jaxtissue.coloring import color, hop_conflicts
+from jaxtissue.compilation.batching import PROGRAMS, run_together
+from jaxtissue.compilation.fusion import options
+from jaxtissue.dynamics.annealer import SPAN, Annealer
+from jaxtissue.dynamics.coloring import color, hop_conflicts
+from jaxtissue.dynamics.independent_sets import CAPACITY, padded_orders
+from jaxtissue.dynamics.metropolis import draw, move_bound, propose
+from jaxtissue.dynamics.schedules import constant_schedule
+from jaxtissue.dynamics.spans import play
+from jaxtissue.dynamics.sweep_log import shortlisted
 from jaxtissue.energy import tube_model
-from jaxtissue.lines import PRESETS
-from jaxtissue.lowering import options
-from jaxtissue.metropolis import draw, move_bound, propose
-from jaxtissue.programs import PROGRAMS, run_together
-from jaxtissue.records import shortlisted
-from jaxtissue.rounds import CAPACITY, padded_orders
-from jaxtissue.schedules import constant_schedule
-from jaxtissue.spans import play
-from jaxtissue.tube import Tube
-from jaxtissue.views import posts
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.axial_lines import posts
+from jaxtissue.measurement.cells import measure_cells
+from jaxtissue.measurement.quadrature import PRESETS
+from jaxtissue.neighbors.search import padded, sided
 
 CELLS = 300
 TUBE = Tube(length=60.0, apical_radius=1.0, basal_radius=10.0)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import jaxtissue as jt
-from jaxtissue import plot
-from jaxtissue.modes import random_key
+from jaxtissue.compilation.modes import random_key
+from jaxtissue.runs import plots
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 STRICT = {
@@ -35,7 +35,7 @@ def results() -> dict[str, np.ndarray]:
     model = jt.tube_model(tube, CELLS)
     annealer = jt.Annealer(model, draft, "is-mh", 1, jt.constant_schedule(2.0, 1))
     state = annealer.start(place)
-    plot.plot_surfaces(tube, [plot.Tissue("", place, cells.volume)])
+    plots.plot_surfaces(tube, [plots.Tissue("", place, cells.volume)])
     found = {
         "positions": place,
         "volume": cells.volume,

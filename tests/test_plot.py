@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from jaxtissue.plot import Tissue, label_surface, plot_energy, plot_surfaces, plot_volumes
-from jaxtissue.tube import Tube
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.runs.plots import Tissue, label_surface, plot_energy, plot_surfaces, plot_volumes
 
 TUBE = Tube(20, 2, 5)
 POSITIONS = np.asarray(TUBE.random_positions(jax.random.key(3), 12))

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxtissue.reading import read_backbones
-from jaxtissue.tube import Tube
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.runs.backbone_files import read_backbones
 
 TABLES = Path(__file__).parent / "data" / "tables"
 TUBE = Tube(20, 1, 3)

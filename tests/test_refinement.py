@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from conftest import read_reference
 
-from jaxtissue import diagrams, refinement
-from jaxtissue.cells import CellGeometry
-from jaxtissue.diagrams import doubts, measure_tissue
-from jaxtissue.exact import exact_cells
-from jaxtissue.refinement import LIMITS, near_twins
-from jaxtissue.statistics import find_connectivity
-from jaxtissue.tube import Tube
+from jaxtissue.diagram.exact import exact_cells
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.cells import CellGeometry
+from jaxtissue.tissue import measurer, refinement
+from jaxtissue.tissue.measurer import doubts, measure_tissue
+from jaxtissue.tissue.refinement import LIMITS, near_twins
+from jaxtissue.topology.statistics import find_connectivity
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 
@@ -104,7 +104,7 @@ def test_doubtful_cells_of_a_large_tissue_are_traced_among_their_candidates() ->
 
 def test_what_can_not_be_traced_is_measured_by_rules_and_said_to_be_doubtful(monkeypatch) -> None:
     ref = read_reference("ratio10_n100")
-    monkeypatch.setattr(diagrams, "trace_sizes", lambda *_: None)
+    monkeypatch.setattr(measurer, "trace_sizes", lambda *_: None)
     monkeypatch.setattr(refinement, "trace_sizes", lambda *_: None)
     with pytest.warns(UserWarning) as told:
         cells, _ = measure_tissue(ref.positions, ref.tube, tolerance=1e-3)

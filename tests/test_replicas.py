@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from conftest import ask
 
-from jaxtissue import anneal, programs, shortlists
-from jaxtissue.anneal import Annealer, advance_together, record_together
+from jaxtissue.compilation import batching
+from jaxtissue.compilation.batching import PROGRAMS, Ahead, Request, run_together
+from jaxtissue.dynamics import annealer
+from jaxtissue.dynamics.annealer import Annealer, advance_together, record_together
 from jaxtissue.energy import Model, tube_model
-from jaxtissue.lines import PRESETS
-from jaxtissue.programs import PROGRAMS, Ahead, Request, run_together
-from jaxtissue.tube import Tube
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.quadrature import PRESETS
+from jaxtissue.neighbors import shortlists
 
 pytestmark = pytest.mark.usefixtures("quick_compile")
 
@@ -85,7 +87,7 @@ def test_a_replay_leaves_the_others_alone(again: str, monkeypatch) -> None:
     monkeypatch.setattr(shortlists, "CANDIDATES", 8)
     monkeypatch.setattr(Annealer, "_play_on", noted)
     if again == "in halves":
-        monkeypatch.setattr(anneal, "list_first", lambda *_: False)
+        monkeypatch.setattr(annealer, "list_first", lambda *_: False)
     told, counts = play(KINDS, SLOTS), {seed: plays.count(seed) for seed in set(plays)}
     assert len(set(counts.values())) > 1  # some replicas were played more often than others
     assert told == [one for kind in KINDS for one in play([kind], SLOTS)]
@@ -108,8 +110,8 @@ def test_all_at_once_as_on_a_gpu_is_the_same_as_in_turn(monkeypatch) -> None:
 
     in_turn = play(range(3))
     assert len({count for _, count in in_turn}) == 3
-    monkeypatch.setattr(programs, "IN_TURN", ())
-    monkeypatch.setattr(programs, "PROGRAMS", {})
+    monkeypatch.setattr(batching, "IN_TURN", ())
+    monkeypatch.setattr(batching, "PROGRAMS", {})
     assert play(range(3)) == in_turn
 
 
@@ -159,7 +161,7 @@ def test_what_failed_ahead_is_compiled_when_it_is_asked_for(monkeypatch) -> None
         yield Ahead(total, (np.zeros(3, np.float32),))
         return (yield Request(total, (np.ones(3, np.float32),))).result
 
-    monkeypatch.setattr(programs, "BESIDE", Fails())
+    monkeypatch.setattr(batching, "BESIDE", Fails())
     assert run_together([task()]) == [3.0]
 
 

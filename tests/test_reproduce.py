@@ -9,9 +9,10 @@ import pytest
 from matplotlib.figure import Figure
 from quick import meet
 
-from jaxtissue.cli import main
-from jaxtissue.files import write_sealed
-from jaxtissue.locks import alone
+from jaxtissue.cli.commands import main
+from jaxtissue.diagram.labels import label_volumes, nearest_backbones
+from jaxtissue.diagram.voxels import cylindrical_voxels
+from jaxtissue.geometry.tube import Tube
 from jaxtissue.reproduction import experiments, reproduce, timings, tissues
 from jaxtissue.reproduction.experiments import QUICK, Plan, Store, measure_runs, measure_volumes
 from jaxtissue.reproduction.items import ITEMS, Product
@@ -19,9 +20,8 @@ from jaxtissue.reproduction.ratios import measure_ratios
 from jaxtissue.reproduction.timings import play_whole
 from jaxtissue.reproduction.tissues import Annealing, History, anneal_history, random_tissue, relax_lloyd
 from jaxtissue.reproduction.workers import Workers
-from jaxtissue.sampling import cylindrical_voxels
-from jaxtissue.tube import Tube
-from jaxtissue.voronoi import label_volumes, nearest_backbones
+from jaxtissue.system.files import write_sealed
+from jaxtissue.system.locks import alone
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 

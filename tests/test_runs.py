@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from test_cli import SIZES, SMALL, restore_precision, same_run, without_seconds  # noqa: F401
 
-from jaxtissue import io
-from jaxtissue.anneal import Annealer
-from jaxtissue.cli import main
-from jaxtissue.files import read_sealed, write_sealed
-from jaxtissue.locks import Lock, alone, together
+from jaxtissue.cli.commands import main
+from jaxtissue.dynamics.annealer import Annealer
+from jaxtissue.runs import storage
+from jaxtissue.system.files import read_sealed, write_sealed
+from jaxtissue.system.locks import Lock, alone, together
 
 pytestmark = pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
 SWEEPS = (*SMALL, "--sweeps", "20")
@@ -166,7 +166,7 @@ def test_a_run_goes_on_in_its_own_precision(whole, stopped, copy, tmp_path) -> N
     assert read_sealed(precise[1] / "manifest.json", "")["arguments"]["x64"] is True
     jax.config.update("jax_enable_x64", False)
     assert main(["anneal", "--out", str(precise[1]), "--resume"]) == 0
-    assert io.load_checkpoint(precise[1] / "checkpoint.npz").state.positions.dtype == np.float64
+    assert storage.load_checkpoint(precise[1] / "checkpoint.npz").state.positions.dtype == np.float64
     for name in ("backbones.csv", "cells.csv"):
         assert (precise[1] / name).read_bytes() == (precise[0] / name).read_bytes()
     assert without_seconds(precise[1] / "sweeps.csv") == without_seconds(precise[0] / "sweeps.csv")

@@ -7,8 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxtissue.contacts import find_contacts
-from jaxtissue.edges import trace_edges
+from jaxtissue.geometry.tube import Tube
 from jaxtissue.reproduction import pictures, tube_pictures
 from jaxtissue.reproduction.pictures import plot_cell_in_tissues, plot_internal_pair, plot_scutoid
 from jaxtissue.reproduction.shapes import (
@@ -21,8 +20,9 @@ from jaxtissue.reproduction.shapes import (
     to_cell_frame,
 )
 from jaxtissue.reproduction.tube_pictures import plot_backbones, plot_tube
-from jaxtissue.transitions import find_transitions
-from jaxtissue.tube import Tube
+from jaxtissue.topology.contacts import find_contacts
+from jaxtissue.topology.edges import trace_edges
+from jaxtissue.topology.transitions import find_transitions
 
 TUBE = Tube(20, 2, 6)
 POSITIONS = np.asarray(TUBE.random_positions(jax.random.key(4), 24), float)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as some
 
-from jaxtissue.sizes import TracedSizes, trace_sizes
-from jaxtissue.tube import Tube
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.topology.traced_sizes import TracedSizes, trace_sizes
 
 NAMES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimeter", "basal_perimeter")
 

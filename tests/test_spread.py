@@ -11,10 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
-from jaxtissue.backbones import distance_between_segments
-from jaxtissue.spread import covering_radius, neighbor_bound, separation, tightness, tube_neighbor_bound
-from jaxtissue.tube import Tube
-from jaxtissue.voronoi import nearest_backbones
+from jaxtissue.diagram.labels import nearest_backbones
+from jaxtissue.diagram.spread import (
+    covering_radius,
+    neighbor_bound,
+    separation,
+    tightness,
+    tube_neighbor_bound,
+)
+from jaxtissue.geometry.backbones import distance_between_segments
+from jaxtissue.geometry.tube import Tube
 
 PAIRWISE = jax.jit(jax.vmap(distance_between_segments))
 

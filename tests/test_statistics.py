@@ -6,13 +6,14 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from jaxtissue.anneal import Annealer
-from jaxtissue.contacts import Contacts
+from jaxtissue.dynamics.annealer import Annealer
+from jaxtissue.dynamics.schedules import constant_schedule
 from jaxtissue.energy import tube_model
-from jaxtissue.laws import NeighborLaw, bound_ratios, fit_neighbor_law
-from jaxtissue.lines import PRESETS
-from jaxtissue.schedules import constant_schedule
-from jaxtissue.statistics import (
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.quadrature import PRESETS
+from jaxtissue.topology.contacts import Contacts
+from jaxtissue.topology.neighbor_law import NeighborLaw, bound_ratios, fit_neighbor_law
+from jaxtissue.topology.statistics import (
     Connectivity,
     find_connectivity,
     polygon_classes,
@@ -20,8 +21,7 @@ from jaxtissue.statistics import (
     tabulate_connectivity,
     tissue_graph,
 )
-from jaxtissue.transitions import CellForms, Transitions
-from jaxtissue.tube import Tube
+from jaxtissue.topology.transitions import CellForms, Transitions
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 TUBE, CELLS = Tube(15, 1, 10), 60  # one tube for all: each compiles anew

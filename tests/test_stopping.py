@@ -11,9 +11,9 @@ import jax
 import pytest
 from test_cli import GOOD, SIZES, SMALL, start
 
-from jaxtissue.io import cut_sweeps, load_checkpoint
-from jaxtissue.programs import keep_compiled
+from jaxtissue.compilation.batching import keep_compiled
 from jaxtissue.reproduction.workers import Workers
+from jaxtissue.runs.storage import cut_sweeps, load_checkpoint
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 

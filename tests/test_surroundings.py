@@ -12,7 +12,7 @@ import quick
 from test_cli import SIZES, SMALL, restore_precision  # noqa: F401
 
 import jaxtissue
-from jaxtissue.cli import main
+from jaxtissue.cli.commands import main
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 RUN = (*SMALL, "--no-contacts", "--sweeps", "20")

@@ -12,8 +12,8 @@ from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
-from jaxtissue.backbones import distance_between_segments, distance_to_segment
-from jaxtissue.tube import Tube, cells_for_unit_volume
+from jaxtissue.geometry.backbones import distance_between_segments, distance_to_segment
+from jaxtissue.geometry.tube import Tube, cells_for_unit_volume
 
 TUBE = Tube(length=100, apical_radius=1, basal_radius=10)
 seeds = st.integers(0, 2**32 - 1)

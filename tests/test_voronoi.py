@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtissue.backbones import Backbones, distance_to_segment
-from jaxtissue.sampling import cartesian_voxels, cylindrical_voxels, image_mask
-from jaxtissue.tube import Tube
-from jaxtissue.voronoi import label_image, label_volumes, nearest_backbones
+from jaxtissue.diagram.labels import label_image, label_volumes, nearest_backbones
+from jaxtissue.diagram.voxels import cartesian_voxels, cylindrical_voxels, image_mask
+from jaxtissue.geometry.backbones import Backbones, distance_to_segment
+from jaxtissue.geometry.tube import Tube
 
 TUBE = Tube(length=20, apical_radius=2, basal_radius=5)
 

@@ -8,36 +8,38 @@
 True
 """
 
-import jaxtissue.stopping  # noqa: F401  Ctrl-C is answered from here on: the other imports take seconds
+import jaxtissue.system.signals  # noqa: F401  Ctrl-C is answered from here on: the other imports take seconds
 
 # isort: split
-from jaxtissue.anneal import Annealer, AnnealState, advance_together, record_together
-from jaxtissue.backbones import Backbones, distance_between_segments, distance_to_segment
-from jaxtissue.candidates import check_angles, find_candidates, sided, tiling_defect
-from jaxtissue.cells import CellGeometry, measure_cells
-from jaxtissue.changes import TissueState, tissue_state
-from jaxtissue.cluster import use_cores
-from jaxtissue.contacts import Contacts, find_contacts
-from jaxtissue.diagrams import Gauge, measure_tissue
-from jaxtissue.edges import trace_edges
-from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
-from jaxtissue.exact import ExactDiagram, exact_cells
-from jaxtissue.inputs import as_positions
-from jaxtissue.labels import label_points
-from jaxtissue.laws import NeighborLaw, bound_ratios, fit_neighbor_law
-from jaxtissue.lines import PRESETS, Lines, Resolution, as_resolution, plan_lines
-from jaxtissue.metropolis import Order, SweepInfo, sweep
-from jaxtissue.records import SweepRecord
-from jaxtissue.sampling import cartesian_voxels, cylindrical_voxels
-from jaxtissue.schedules import constant_schedule, geometric_schedule, has_stalled
-from jaxtissue.spread import (
+from jaxtissue.compilation.devices import use_cores
+from jaxtissue.diagram.exact import ExactDiagram, exact_cells
+from jaxtissue.diagram.labels import label_image, label_volumes, nearest_backbones
+from jaxtissue.diagram.point_location import label_points
+from jaxtissue.diagram.spread import (
     covering_radius,
     neighbor_bound,
     separation,
     tightness,
     tube_neighbor_bound,
 )
-from jaxtissue.statistics import (
+from jaxtissue.diagram.voxels import cartesian_voxels, cylindrical_voxels
+from jaxtissue.dynamics.annealer import Annealer, AnnealState, advance_together, record_together
+from jaxtissue.dynamics.local_updates import TissueState, tissue_state
+from jaxtissue.dynamics.metropolis import Order, SweepInfo, sweep
+from jaxtissue.dynamics.schedules import constant_schedule, geometric_schedule, has_stalled
+from jaxtissue.dynamics.sweep_log import SweepRecord
+from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
+from jaxtissue.geometry.backbones import Backbones, distance_between_segments, distance_to_segment
+from jaxtissue.geometry.positions import as_positions
+from jaxtissue.geometry.tube import Tube, cells_for_unit_volume
+from jaxtissue.measurement.cells import CellGeometry, measure_cells
+from jaxtissue.measurement.quadrature import PRESETS, Lines, Resolution, as_resolution, plan_lines
+from jaxtissue.neighbors.search import check_angles, find_candidates, sided, tiling_defect
+from jaxtissue.tissue.measurer import Gauge, measure_tissue
+from jaxtissue.topology.contacts import Contacts, find_contacts
+from jaxtissue.topology.edges import trace_edges
+from jaxtissue.topology.neighbor_law import NeighborLaw, bound_ratios, fit_neighbor_law
+from jaxtissue.topology.statistics import (
     Connectivity,
     find_connectivity,
     polygon_classes,
@@ -45,9 +47,7 @@ from jaxtissue.statistics import (
     tabulate_connectivity,
     tissue_graph,
 )
-from jaxtissue.transitions import CellForms, Transitions, find_forms, find_transitions
-from jaxtissue.tube import Tube, cells_for_unit_volume
-from jaxtissue.voronoi import label_image, label_volumes, nearest_backbones
+from jaxtissue.topology.transitions import CellForms, Transitions, find_forms, find_transitions
 
 __all__ = [
     "PRESETS",

@@ -4,8 +4,8 @@ import gc
 import os
 import sys
 
-from jaxtissue import kept
-from jaxtissue.cli import main
+from jaxtissue.cli.commands import main
+from jaxtissue.compilation import program_cache
 
 
 def run() -> None:
@@ -15,7 +15,7 @@ def run() -> None:
     """
     gc.freeze()  # what was imported stays, and need not be looked through
     gc.enable()  # `stopping` put it off until here
-    kept.is_on = True
+    program_cache.is_on = True
     code = main()
     gc.freeze()
     if code > 128:

@@ -10,10 +10,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from jaxtissue.cells import CellGeometry
-from jaxtissue.inputs import X64
-from jaxtissue.modes import usual_modes
-from jaxtissue.tube import Tube
+from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.geometry.positions import X64
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.cells import CellGeometry
 
 CONSTANTS = ("mean_volume", "modulus", "tension")
 CellEnergy = Callable[[CellGeometry, "Model"], Float[Array, "cells"]]

@@ -8,8 +8,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtissue.diagrams import measure_tissue
-from jaxtissue.files import (
+from jaxtissue.diagram.spread import covering_radius, separation
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.reproduction.tissues import Annealing, History, anneal_history
+from jaxtissue.reproduction.workers import Workers
+from jaxtissue.system.files import (
     load_arrays,
     make_subfolder,
     read_sealed,
@@ -17,10 +20,7 @@ from jaxtissue.files import (
     save_arrays,
     write_sealed,
 )
-from jaxtissue.reproduction.tissues import Annealing, History, anneal_history
-from jaxtissue.reproduction.workers import Workers
-from jaxtissue.spread import covering_radius, separation
-from jaxtissue.tube import Tube
+from jaxtissue.tissue.measurer import measure_tissue
 
 Table = dict[str, np.ndarray]
 THRESHOLDS = (0.0, 0.01, 0.02, 0.05)  # smallest walls counted, in mean walls

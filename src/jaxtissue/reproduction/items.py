@@ -7,11 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxtissue.contacts import find_contacts
-from jaxtissue.diagrams import measure_tissue
-from jaxtissue.edges import trace_edges
-from jaxtissue.laws import NeighborLaw, fit_neighbor_law
-from jaxtissue.plot import Tissue, plot_surfaces
+from jaxtissue.geometry.tube import Tube
 from jaxtissue.reproduction.experiments import (
     BASAL_RADIUS,
     Plan,
@@ -28,8 +24,12 @@ from jaxtissue.reproduction.ratios import measure_ratios
 from jaxtissue.reproduction.timings import measure_table
 from jaxtissue.reproduction.tissues import random_tissue
 from jaxtissue.reproduction.tube_pictures import plot_backbones, plot_tube
-from jaxtissue.transitions import find_transitions
-from jaxtissue.tube import Tube
+from jaxtissue.runs.plots import Tissue, plot_surfaces
+from jaxtissue.tissue.measurer import measure_tissue
+from jaxtissue.topology.contacts import find_contacts
+from jaxtissue.topology.edges import trace_edges
+from jaxtissue.topology.neighbor_law import NeighborLaw, fit_neighbor_law
+from jaxtissue.topology.transitions import find_transitions
 
 PICTURED_CELLS = 1000  # of Figs. 7 to 9
 PICTURED_RATIO = 10.0  # of the tissue that shows a scutoid and internal neighbors: R_a = 1

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from jaxtissue.edges import EdgeGraph
+from jaxtissue.geometry.tube import Tube
 from jaxtissue.reproduction.shapes import (
     APICAL,
     BASAL,
@@ -25,7 +25,7 @@ from jaxtissue.reproduction.shapes import (
     shape_cell,
     to_cell_frame,
 )
-from jaxtissue.tube import Tube
+from jaxtissue.topology.edges import EdgeGraph
 
 # Okabe and Ito's colors, which color-blind readers tell apart.
 KIND_COLORS = {"apical_basal": "#56B4E9", "apical": "#E69F00", "basal": "#009E73", "internal": "#D55E00"}

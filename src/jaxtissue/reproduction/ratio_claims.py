@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from jaxtissue.laws import fit_neighbor_law
 from jaxtissue.reproduction import published
 from jaxtissue.reproduction.claims import (
     MET,
@@ -16,6 +15,7 @@ from jaxtissue.reproduction.claims import (
     mean_range,
 )
 from jaxtissue.reproduction.experiments import THRESHOLDS, Plan, Table
+from jaxtissue.topology.neighbor_law import fit_neighbor_law
 
 _GLAND = "real cells, in glands of many ratios; nothing to be met"
 _PLATEAU = (

@@ -12,10 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
-from jaxtissue.laws import NeighborLaw
 from jaxtissue.reproduction import published
 from jaxtissue.reproduction.experiments import THRESHOLDS, Table
 from jaxtissue.reproduction.figures import band, where
+from jaxtissue.topology.neighbor_law import NeighborLaw
 
 # Okabe and Ito's colors, which color-blind readers tell apart; line styles tell them apart too.
 _BLUE, _ORANGE, _GREEN, _PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"

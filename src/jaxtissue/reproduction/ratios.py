@@ -5,13 +5,13 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtissue.diagrams import measure_tissue
+from jaxtissue.diagram.spread import separation
 from jaxtissue.energy import tube_model
-from jaxtissue.laws import bound_ratios
 from jaxtissue.reproduction.experiments import THRESHOLDS, Plan, Store, Table, tabulate
 from jaxtissue.reproduction.tissues import random_tissue, relax_lloyd
-from jaxtissue.spread import separation
-from jaxtissue.statistics import KIND_ORDER, find_connectivity, summarize_connectivity
+from jaxtissue.tissue.measurer import measure_tissue
+from jaxtissue.topology.neighbor_law import bound_ratios
+from jaxtissue.topology.statistics import KIND_ORDER, find_connectivity, summarize_connectivity
 
 KINDS = ("random", "lloyd", "annealed")
 

@@ -11,8 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from jaxtissue import io
-from jaxtissue.files import (
+from jaxtissue.reproduction.claims import Claim
+from jaxtissue.reproduction.experiments import FORMAT, QUICK, Plan, Store, Table
+from jaxtissue.reproduction.items import ITEMS, Product
+from jaxtissue.reproduction.report import judge_items, write_report
+from jaxtissue.reproduction.workers import Workers
+from jaxtissue.runs import storage
+from jaxtissue.runs.plots import save_figure
+from jaxtissue.runs.settings import now, provenance
+from jaxtissue.system.files import (
     check_files,
     checksum,
     is_empty,
@@ -21,13 +28,6 @@ from jaxtissue.files import (
     replacing,
     write_sealed,
 )
-from jaxtissue.plot import save_figure
-from jaxtissue.reproduction.claims import Claim
-from jaxtissue.reproduction.experiments import FORMAT, QUICK, Plan, Store, Table
-from jaxtissue.reproduction.items import ITEMS, Product
-from jaxtissue.reproduction.report import judge_items, write_report
-from jaxtissue.reproduction.workers import Workers
-from jaxtissue.settings import now, provenance
 
 _OWN = {"plan", "items"}  # only manifests of this command have them
 
@@ -157,7 +157,7 @@ def _write(folder: Path, item: str, product: Product) -> dict[str, str]:
     paths = []
     for ending, table in product.tables.items():
         paths.append(folder / f"{item}{ending}.csv")
-        io.write_table(paths[-1], table)
+        storage.write_table(paths[-1], table)
     picture = folder / f"{item}.png"
     save_figure(picture, lambda: (product.figure, None))
     return {path.name: checksum(path) for path in [*paths, picture] if path.is_file()}
@@ -172,11 +172,11 @@ def _report(folder: Path, plan: Plan, manifest: dict[str, Any]) -> None:
     with replacing(folder / "report.md", "w") as file:
         file.write(text)
     columns = {name: np.array([getattr(claim, name) for claim in claims]) for name in Claim._fields}
-    io.write_table(folder / "report.csv", columns)
+    storage.write_table(folder / "report.csv", columns)
 
 
 def read_table(path: Path) -> Table:
-    """The columns of a table that `io.write_table` wrote: numbers, truth values, or text."""
+    """The columns of a table that `storage.write_table` wrote: numbers, truth values, or text."""
     with path.open(encoding="utf-8", newline="") as file:
         names, *rows = csv.reader(file)
     return {name: _typed(np.array([row[i] for row in rows])) for i, name in enumerate(names)}

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtissue.edges import EdgeGraph
-from jaxtissue.labels import label_points
-from jaxtissue.tube import Tube
+from jaxtissue.diagram.point_location import label_points
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.topology.edges import EdgeGraph
 
 APICAL, BASAL, LEFT, RIGHT = -1, -2, -3, -4  # what is behind a wall that is none between cells
 

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from jaxtissue.dynamics.independent_sets import ROUNDS
 from jaxtissue.reproduction import published
 from jaxtissue.reproduction.claims import QUICK_SIZES, Claims, judge, judge_ranges, listed, near, spread
 from jaxtissue.reproduction.experiments import Plan, Table
 from jaxtissue.reproduction.timings import RADII, RULES, SAMPLED
-from jaxtissue.rounds import ROUNDS
 
 _TITLES = {name: rule.replace("-phi", " phi") for name, rule in RULES.items()}
 _NEAR = "the near rule keeps more moves apart, so that almost none change the same cell"

@@ -9,23 +9,23 @@ import numpy as np
 from jaxtyping import Float
 from scipy import sparse
 
-from jaxtissue.anneal import SPAN, Annealer, AnnealState
-from jaxtissue.coloring import CONFLICTS, color, distance_conflicts, hop_conflicts
-from jaxtissue.contacts import find_contacts
-from jaxtissue.diagrams import Gauge
+from jaxtissue.compilation.batching import Asker, run_together
+from jaxtissue.diagram.spread import covering_radius, separation
+from jaxtissue.dynamics.annealer import SPAN, Annealer, AnnealState
+from jaxtissue.dynamics.coloring import CONFLICTS, color, distance_conflicts, hop_conflicts
+from jaxtissue.dynamics.independent_sets import MEAN_MOVE, one_by_one
+from jaxtissue.dynamics.metropolis import draw, move_bound, propose
+from jaxtissue.dynamics.schedules import constant_schedule
+from jaxtissue.dynamics.survey import Surveyor
+from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.energy import Model, tube_model
-from jaxtissue.lines import PRESETS
-from jaxtissue.metropolis import draw, move_bound, propose
-from jaxtissue.programs import Asker, run_together
-from jaxtissue.records import SweepRecord
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.axial_lines import posts
+from jaxtissue.measurement.quadrature import PRESETS
 from jaxtissue.reproduction.experiments import BASAL_RADIUS, Plan, Store, Table, tabulate
 from jaxtissue.reproduction.tissues import TEMPERATURE, Annealing
-from jaxtissue.rounds import MEAN_MOVE, one_by_one
-from jaxtissue.schedules import constant_schedule
-from jaxtissue.spread import covering_radius, separation
-from jaxtissue.surveys import Surveyor
-from jaxtissue.tube import Tube
-from jaxtissue.views import posts
+from jaxtissue.tissue.measurer import Gauge
+from jaxtissue.topology.contacts import find_contacts
 
 WARM_UP = 2 * SPAN  # sweeps before the timed ones; from then on lists are renewed every SPAN sweeps
 SAMPLED = 25  # moves of MH with whole diagrams that are timed in a turn

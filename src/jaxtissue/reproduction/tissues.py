@@ -9,16 +9,16 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from jaxtissue.anneal import Annealer
-from jaxtissue.backbones import Backbones
+from jaxtissue.compilation.modes import random_key, usual_modes
+from jaxtissue.diagram.labels import nearest_backbones
+from jaxtissue.diagram.voxels import cylindrical_voxels
+from jaxtissue.dynamics.annealer import Annealer
+from jaxtissue.dynamics.schedules import constant_schedule
+from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.energy import tube_model
-from jaxtissue.lines import PRESETS
-from jaxtissue.modes import random_key, usual_modes
-from jaxtissue.records import SweepRecord
-from jaxtissue.sampling import cylindrical_voxels
-from jaxtissue.schedules import constant_schedule
-from jaxtissue.tube import Tube
-from jaxtissue.voronoi import nearest_backbones
+from jaxtissue.geometry.backbones import Backbones
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.quadrature import PRESETS
 
 TEMPERATURE = 2.0  # paper, section 4.3
 VOXELS = 230  # per cell, for the centroids of Lloyd's method

@@ -13,8 +13,8 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from jaxtissue.geometry.tube import Tube
 from jaxtissue.reproduction.shapes import label_section
-from jaxtissue.tube import Tube
 
 _VIEW: dict[str, Any] = {"elev": 24, "azim": -52}
 _CUT = np.radians([80.0, 200.0])  # the angles between which the tube is cut open, towards the viewer

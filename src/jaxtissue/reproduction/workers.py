@@ -14,10 +14,10 @@ from typing import Any
 import jax
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
-from jaxtissue.cluster import use_cores
-from jaxtissue.cores import usable_cores
-from jaxtissue.memory import machine_memory
-from jaxtissue.modes import keep_usual_modes
+from jaxtissue.compilation.devices import use_cores
+from jaxtissue.compilation.modes import keep_usual_modes
+from jaxtissue.dynamics.memory import machine_memory
+from jaxtissue.system.cores import usable_cores
 
 ROOM = 2**31  # bytes of memory that a process is given
 CONFIG: Any = jax.config  # its settings are not declared

@@ -1,0 +1,269 @@
+"""The command line. Results go to stdout, progress and errors to stderr.
+
+What only one command needs, it imports itself: to import matplotlib or the reproduction takes half a second.
+"""
+
+import os
+import signal
+import sys
+import time
+import warnings
+from collections.abc import Sequence
+from importlib.util import find_spec
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxtissue.cli.options import TUBE_SIZES, command_parser
+from jaxtissue.compilation import program_cache
+from jaxtissue.compilation.batching import keep_compiled
+from jaxtissue.compilation.devices import use_cores
+from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.dynamics.metropolis import warn_of_coarse_places
+from jaxtissue.energy import tube_model
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.runs import storage
+from jaxtissue.runs.annealing import resume_annealing, run_annealing
+from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
+from jaxtissue.runs.distributed import Part, join, slurm_part
+from jaxtissue.runs.grids import AXES, Grid
+from jaxtissue.runs.reports import (
+    CONTACT_TABLES,
+    compare_presets,
+    contact_summary,
+    tabulate_cells,
+    write_contacts,
+)
+from jaxtissue.runs.settings import Settings, provenance, versions
+from jaxtissue.system.files import check_folder, make_folder, write_json
+from jaxtissue.system.locks import alone
+from jaxtissue.system.streams import open_streams
+from jaxtissue.topology.statistics import find_connectivity
+
+CONFIG: Any = jax.config  # its settings are not declared
+EXTRAS = ("tifffile", "skimage", "pyevtk", "pandas", "pyvista", "trimesh")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code: 0 done, 2 bad input, 128 + signal stopped, 1 other."""
+    open_streams()
+    try:
+        arguments = vars(command_parser().parse_args(argv))
+        work = {"anneal": anneal, "sweep": sweep, "measure": measure, "compare": compare}
+        work |= {"reproduce": reproduce_paper, "info": info}
+        warnings.formatwarning = lambda message, *_, **__: f"jaxtissue: warning: {message}\n"
+        if CONFIG.jax_enable_x64 and not arguments.get("resume"):
+            arguments["x64"] = True  # as JAX_ENABLE_X64 says; a run that is resumed keeps its own
+        keep_compiled()
+        with usual_modes():
+            code = work[arguments.pop("command")](arguments)
+        sys.stdout.flush()  # or it is only told at the very end that the reader has left
+        return code
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE  # without a word, as other commands of a pipe
+    except ValueError as error:
+        return _fail(error, 2)
+    except OSError as error:
+        return _fail(error, 1)
+    except (RuntimeError, AssertionError):
+        if _has_device():
+            program_cache.forget_loaded()
+            raise
+        return _fail(f"JAX has no device for JAX_PLATFORMS={CONFIG.jax_platforms}; correct or unset it", 2)
+    except MemoryError as error:
+        return _fail(f"out of memory ({error}); take fewer cells", 1)
+    except KeyboardInterrupt:
+        return _fail("stopped by Ctrl-C; what was saved before can be resumed", 130)
+
+
+def anneal(arguments: dict[str, Any]) -> int:
+    """Anneal a tissue into a folder, or take up a run there."""
+    use_cores(1)
+    folder, force, resume, finish = (arguments.pop(name) for name in ("out", "force", "resume", "finish"))
+    if resume:
+        return resume_annealing(folder, arguments, finish)
+    if finish:
+        raise ValueError("--finish is for a run that was stopped; add --resume")
+    _refuse_both(arguments, "minimum_contact")
+    _need_relative(arguments, arguments)
+    settings = Settings(**arguments)
+    if settings.final_temperature is not None and not settings.temperature > 0:
+        raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
+    _use_x64(settings.x64)
+    return run_annealing(folder, settings, force)
+
+
+def sweep(arguments: dict[str, Any]) -> int:
+    """Anneal a grid of tissues into one table, or what is missing of it."""
+    from jaxtissue.runs.grid_runs import check_grid_folder, run_grid
+
+    folder, force, batch = (arguments.pop(name) for name in ("out", "force", "batch"))
+    places = [arguments.pop(name) for name in ("part", "slurm", "distributed", "coordinator", "process")]
+    _use_x64(arguments["x64"])
+    _refuse_both(arguments, "minimum_contact")
+    axes = {name: arguments.pop(name) for name in AXES if name in arguments}
+    _need_relative(arguments, axes)
+    grid = Grid(axes, arguments)
+    if grid.shared.get("final_temperature") and min(axes.get("temperature", [1.0])) == 0:
+        raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
+    check_grid_folder(folder, grid, force)
+    part = _find_part(*places)
+    use_cores(min(len(part.share(grid.rows)), batch or len(grid.rows)))
+    return run_grid(folder, grid, part, force, batch)
+
+
+def _find_part(
+    part: tuple[int, int] | None,
+    slurm: bool,
+    distributed: bool,
+    coordinator: str | None,
+    process: tuple[int, int] | None,
+) -> Part:
+    """The part of the work that this process does."""
+    if not distributed and (coordinator or process):
+        raise ValueError("--coordinator and --process need --distributed; add it")
+    if (coordinator is None) != (process is None):
+        raise ValueError("--coordinator and --process need each other; give both, or none in a cluster")
+    if distributed:
+        return join(coordinator, process)
+    if slurm:
+        return slurm_part()
+    return Part(*part) if part else Part()
+
+
+def measure(arguments: dict[str, Any]) -> int:
+    """Measure the cells of given backbones, and trace who touches whom."""
+    folder = arguments["out"]
+    _refuse_both(arguments, "minimum_contact", "graph")
+    check_folder(folder, arguments["force"])
+    tube, backbones = _read(arguments)
+    place, connectivity, tracing = backbones.positions, None, 0.0
+    if not arguments["no_contacts"]:
+        _say(f"tracing the contacts of {len(place)} cells")
+        begun = time.perf_counter()
+        connectivity = find_connectivity(place, tube, arguments["minimum_contact"])
+        tracing = time.perf_counter() - begun
+    _say(f"measuring {len(place)} cells")
+    model = tube_model(tube, len(place), arguments["modulus"], arguments["tension"])
+    warn_of_coarse_places(model, len(place), np.dtype(jnp.result_type(float)))
+    begun = time.perf_counter()
+    columns, summary = tabulate_cells(
+        place, model, arguments["resolution"], backbones.names, connectivity, arguments["tolerance"]
+    )
+    summary["seconds"] = time.perf_counter() - begun
+    make_folder(folder, CONTACT_TABLES)
+    storage.write_table(folder / "cells.csv", columns)
+    if connectivity is not None:
+        write_contacts(folder, connectivity, columns if arguments["graph"] else None)
+        summary |= contact_summary(connectivity) | {"contact_seconds": tracing}
+    write_json(folder / "summary.json", summary)
+    _print_summary(summary)
+    return 0
+
+
+def compare(arguments: dict[str, Any]) -> int:
+    """Show the errors of each preset against the exact path."""
+    folder, samples = arguments["out"], arguments["samples"]
+    if folder:
+        check_folder(folder, arguments["force"])
+    tube, backbones = _read(arguments)
+    errors, exact_seconds = compare_presets(backbones.positions, tube, samples)
+    if folder:
+        make_folder(folder)
+        storage.write_table(folder / "compare.csv", errors)
+        rows = [dict(zip(errors, row, strict=True)) for row in zip(*errors.values(), strict=True)]
+        summary = {"samples": samples, "exact_seconds": exact_seconds, "presets": rows}
+        write_json(folder / "compare.json", summary | provenance())
+    print("  ".join(f"{name:>10}" for name in errors))
+    for preset, *figures in zip(*errors.values(), strict=True):
+        print("  ".join([f"{preset:>10}", *(f"{figure:10.2e}" for figure in figures)]))
+    print(f"relative to the mean cell of the exact path ({samples} samples, {exact_seconds:.3g} s)")
+    return 0
+
+
+def reproduce_paper(arguments: dict[str, Any]) -> int:
+    """Make the paper's table and figures, and a report that sets its numbers beside ours."""
+    from jaxtissue.reproduction.reproduce import choose_items, make_plan, reproduce
+    from jaxtissue.reproduction.workers import Workers, free_cores
+
+    items = choose_items(arguments["items"])
+    _use_x64(arguments["x64"])
+    use_cores(1)
+    plan = make_plan(arguments["quick"], arguments["seeds"])
+    with Workers(free_cores()) as workers, alone(arguments["out"], what="a reproduction"):
+        manifest = reproduce(arguments["out"], items, plan, arguments["force"], workers)
+    for item in items:
+        print(f"{item:8}{manifest['items'][item]['seconds']:10.1f} s")
+    print(f"written to {arguments['out'] / 'report.md'}")
+    return 0
+
+
+def info(arguments: dict[str, Any]) -> int:
+    """Show versions, devices, precision and the optional packages found."""
+    _use_x64(arguments["x64"])
+    for name, version in versions().items():
+        print(f"{name:12}{version}")
+    print(f"{'devices':12}{', '.join(map(str, jax.devices()))}")
+    print(f"{'x64':12}{'on' if jnp.result_type(float) == jnp.float64 else 'off'}")
+    print(f"{'extras':12}{', '.join(name for name in EXTRAS if find_spec(name)) or 'none'}")
+    return 0
+
+
+def _print_summary(summary: dict[str, Any]) -> None:
+    """A line for each value; those of the inner cells beside those of all."""
+    inner = summary.get("inner", {})
+    for name, value in summary.items():
+        if name == "inner":
+            continue
+        if name == "cells":
+            print(f"\n{'':28}{'all':>12}{'inner':>12}")
+        beside = f"{value:12.6g}{inner[name]:12.6g}" if name in inner else f"{value:.6g}"
+        print(f"{name:28}{beside}")
+
+
+def _need_relative(arguments: dict[str, Any], given: dict[str, Any]) -> None:
+    """Raise `ValueError` for --relative with defaults that have units."""
+    for name in ("tension", "temperature"):
+        if arguments.get("relative") and name not in given:
+            raise ValueError(f"--relative needs --{name} without units; see --help for the paper's")
+
+
+def _refuse_both(arguments: dict[str, Any], *names: str) -> None:
+    """Raise `ValueError` for an option that asks for contacts beside --no-contacts."""
+    for name in names:
+        if arguments.get("no_contacts") and arguments.get(name):
+            option = "--" + name.replace("_", "-")
+            raise ValueError(f"{option} needs contacts; leave it or --no-contacts out")
+
+
+def _read(arguments: dict[str, Any]) -> tuple[Tube, BackboneTable]:
+    _use_x64(arguments["x64"])
+    tube = Tube(*(arguments[name] for name in TUBE_SIZES))
+    return tube, read_backbones(arguments["file"], tube, arguments["degrees"])
+
+
+def _use_x64(x64: bool) -> None:
+    """Compute in 64 bits, or not, whatever the environment says."""
+    jax.config.update("jax_enable_x64", x64)
+
+
+def _has_device() -> bool:
+    """Whether JAX starts; if not, it says so with one error or another, or only in its log."""
+    try:
+        return bool(jax.devices())
+    except (RuntimeError, AssertionError):
+        return CONFIG.jax_platforms is None
+
+
+def _say(text: str) -> None:
+    """What takes the time, for who is watching."""
+    if sys.stderr.isatty():
+        print(text, file=sys.stderr)
+
+
+def _fail(message: object, code: int) -> int:
+    print("jaxtissue: error:", " ".join(str(message).split()), file=sys.stderr)
+    return code

@@ -1,0 +1,1 @@
+"""JAX and XLA only: settings, fusion, programs batched over replicas and kept on the disk, devices."""

@@ -1,0 +1,133 @@
+"""How evenly the backbones are spread: separation, covering radius and what they bound (paper, Section 2)."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, ArrayLike, Float
+
+from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.diagram.point_location import Lists, batches, hand_down, narrow, stand
+from jaxtissue.geometry.positions import as_positions
+from jaxtissue.geometry.tube import Tube
+
+
+@usual_modes()
+def separation(positions: Float[ArrayLike, "n 2"], tube: Tube) -> Float[Array, ""]:
+    """Smallest distance between two backbones, infinite for a single one (paper, Definition 1).
+
+    Two radial segments are nearest at their apical ends, whatever the angle D between them:
+    distance^2 = dx^2 + (2 R_a sin(D/2))^2. Each backbone is compared with the next, second next, ... along
+    the axis, until that is too far along the axis alone; memory is O(n).
+
+    >>> round(float(separation(jnp.array([[0.0, 0.0], [3.0, 0.0], [4.0, jnp.pi]]), Tube(9, 1, 2))), 4)
+    2.2361
+    """
+    return _separation(as_positions(positions, tube, sizes=False), tube)
+
+
+@jax.jit
+def _separation(positions: Float[Array, "n 2"], tube: Tube) -> Float[Array, ""]:
+    count = positions.shape[0]
+    axial, angle = positions[jnp.argsort(positions[:, 0])].T
+    # The padding stands infinitely far along the axis: it is never nearest.
+    padded_axial = jnp.concatenate([axial, jnp.full_like(axial, jnp.inf)])
+    padded_angle = jnp.concatenate([angle, jnp.zeros_like(angle)])
+
+    def unfinished(state):
+        shift, best, gap = state
+        return (shift < count) & (gap < best)
+
+    def compare(state):
+        shift, best, _ = state
+        along = lax.dynamic_slice_in_dim(padded_axial, shift, count) - axial
+        turn = lax.dynamic_slice_in_dim(padded_angle, shift, count) - angle
+        apart = jnp.hypot(along, 2 * tube.apical_radius * jnp.sin(turn / 2))
+        return shift + 1, jnp.minimum(best, jnp.min(apart)), jnp.min(along)
+
+    start = 1, jnp.asarray(jnp.inf, positions.dtype), jnp.zeros((), positions.dtype)
+    return lax.while_loop(unfinished, compare, start)[1]
+
+
+@usual_modes()
+def covering_radius(
+    positions: Float[ArrayLike, "n 2"], tube: Tube, tolerance: float = 4e-4
+) -> Float[np.ndarray, ""]:
+    """Largest distance from a point of the tissue to its nearest backbone (paper, Definition 1).
+
+    The distance to a radial backbone never falls on the way outwards, so the maximum is on the basal surface.
+    Distance changes by no more than the way gone: patches of it that may hold a larger one than was found are
+    split, until none is left. The result is the value at a point of the tissue, so never too large, and too
+    small by at most `tolerance`, relative. It has the precision that JAX works in.
+
+    Raises `ValueError` for a tolerance that is not positive, and positions that `as_positions` refuses.
+
+    >>> round(float(covering_radius(jnp.array([[5.0, 0.0]]), Tube(10, 1, 2))), 2)
+    5.83
+    """
+    if not tolerance > 0:
+        raise ValueError(f"tolerance={tolerance} is not positive; give the relative error that you can take")
+    cells = stand(positions, tube)
+    everyone = Lists(np.arange(len(cells.axial)), np.array([len(cells.axial)]))
+    half = np.array([[float(tube.length) / 2], [math.pi * cells.outer]])  # along the axis, and around
+    found, left = 0.0, [(half, half, everyone)]
+    while left:
+        patches, half, lists = left.pop(0)
+        axial, angle = patches[0], patches[1] / cells.outer
+        center = np.stack([axial, cells.outer * np.cos(angle), cells.outer * np.sin(angle)])
+        radius = np.full(len(axial), float(np.linalg.norm(half)) * (1 + 1e-9))  # for rounding
+        lists, distance = narrow(center, radius, lists, cells)
+        found = max(found, float(distance.max()))
+        larger = distance + radius > found * (1 + tolerance)
+        half, offset = _halved(half)
+        parts = (patches[:, larger, None] + offset[:, None]).reshape(2, -1)
+        parent = np.repeat(np.flatnonzero(larger), offset.shape[1])
+        left += [(parts[:, some], half, own) for some, own in batches(hand_down(lists, parent))]
+    return np.asarray(found, jnp.result_type(float))
+
+
+@usual_modes()
+def tightness(positions: Float[ArrayLike, "n 2"], tube: Tube) -> Float[np.ndarray, ""]:
+    """The phi of a tight phi-backbone spread, covering radius / separation (paper, Definition 1).
+
+    It has no unit; 0 for a single backbone.
+    """
+    return covering_radius(positions, tube) / np.asarray(separation(positions, tube))
+
+
+def neighbor_bound(tightness: float, backbone_length: float) -> float:
+    """Most neighbors a cell can have in any tissue, 8 (2 phi + 1/2)^3 + 6 (2 phi + 1/2)^2 l (paper, Lemma 1).
+
+    `tightness` is phi; `backbone_length` is l in units of the separation.
+
+    >>> neighbor_bound(1.0, 2.0)
+    200.0
+    """
+    reach = 2 * tightness + 0.5
+    return 8 * reach**3 + 6 * reach**2 * backbone_length
+
+
+def tube_neighbor_bound(tightness: float, hops: int = 1) -> float:
+    """Most cells within `hops` contacts of a cell of a tube, 4 (2 h phi + 1/2)^2.
+
+    One hop bounds the neighbors (paper, Lemma 2); more hops keep its constant, where the paper gives the
+    order O(phi^2 h^2) (Corollary 1). `tightness` is phi.
+
+    >>> tube_neighbor_bound(1.0), tube_neighbor_bound(1.0, hops=2)
+    (25.0, 81.0)
+    """
+    return 4 * (2 * hops * tightness + 0.5) ** 2
+
+
+def _halved(
+    half: Float[np.ndarray, "2 1"],
+) -> tuple[Float[np.ndarray, "2 1"], Float[np.ndarray, "2 parts"]]:
+    """A patch cut in two where it is long: half the sides of its parts; their centers seen from its."""
+    smaller = np.where(2 * half > half.max(), half / 2, half)
+    steps = [
+        np.unique([small - large, large - small])
+        for small, large in zip(smaller[:, 0], half[:, 0], strict=True)
+    ]
+    return smaller, np.stack(np.meshgrid(*steps, indexing="ij")).reshape(2, -1)

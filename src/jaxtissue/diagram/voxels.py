@@ -1,0 +1,77 @@
+"""Where the diagram is sampled: voxels of the tissue and their volumes."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.geometry.tube import Tube
+
+
+@usual_modes()
+def cylindrical_voxels(
+    tube: Tube, shape: tuple[int, int, int]
+) -> tuple[Float[Array, "voxels 3"], Float[Array, "voxels"]]:
+    """Centers and exact volumes, r dx dr dt, of the voxels of an (axial, radial, angular) grid.
+
+    The last direction runs fastest. The grid fills the tissue, so the volumes sum to `tube.volume`. The sizes
+    of the tube may be traced, the shape may not. Raises `ValueError` for a shape that holds no voxel.
+
+    >>> points, volumes = cylindrical_voxels(Tube(1, 1, 3), (1, 2, 4))
+    >>> points.shape, round(float(volumes.sum()), 3), round(Tube(1, 1, 3).volume, 3)
+    ((8, 3), 25.133, 25.133)
+    """
+    if len(shape) != 3 or min(shape) < 1:
+        raise ValueError(f"shape={shape} holds no voxel; give (axial, radial, angular) counts of at least 1")
+    dtype = jnp.result_type(tube.length, tube.apical_radius, tube.basal_radius, 0.0)
+    middles = [(jnp.arange(count, dtype=dtype) + 0.5) / count for count in shape]
+    share_x, share_r, share_t = (m.ravel() for m in jnp.meshgrid(*middles, indexing="ij"))
+    wall = tube.basal_radius - tube.apical_radius
+    radius, angle = tube.apical_radius + wall * share_r, 2 * math.pi * share_t
+    points = jnp.stack([tube.length * share_x, radius * jnp.cos(angle), radius * jnp.sin(angle)], axis=-1)
+    return points, radius * (2 * math.pi * wall * tube.length / math.prod(shape))
+
+
+@usual_modes()
+def cartesian_voxels(tube: Tube, spacing: float) -> tuple[Float[Array, "voxels 3"], Float[Array, "voxels"]]:
+    """Centers and volumes, spacing^3, of the cubic voxels whose center lies in the tissue.
+
+    They are the `True` voxels of `image_mask(tube, spacing)`, in its order (x fastest). The sum of the
+    volumes misses `tube.volume` by the roughness of the surfaces. The sizes must be known (not traced).
+    """
+    mask = image_mask(tube, spacing)
+    dtype = jnp.result_type(tube.length, tube.apical_radius, tube.basal_radius, 0.0)
+    z, y, x = (jnp.asarray(c, dtype) for c in (np.argwhere(mask) + _corner(mask)).T * spacing)
+    return jnp.stack([x, y, z], axis=-1), jnp.full(x.shape, spacing**3, dtype)
+
+
+def image_mask(tube: Tube, spacing: float) -> Bool[np.ndarray, "z y x"]:
+    """Which voxels of the smallest image around the tube have their center in the tissue; order (z, y, x).
+
+    Voxel (k, j, i) is centered at x = (i + 1/2) spacing, y = (j + 1/2 - ny/2) spacing and likewise z: the
+    image begins at the tube's end x = 0 and is centered on the axis. Raises `ValueError` for a spacing that
+    is not positive, or so wide that no center lies in the tissue.
+
+    >>> image_mask(Tube(2, 0.5, 2), 1.0)[:, :, 0].astype(int)
+    array([[0, 1, 1, 0],
+           [1, 1, 1, 1],
+           [1, 1, 1, 1],
+           [0, 1, 1, 0]])
+    """
+    if not (math.isfinite(spacing) and spacing > 0):
+        raise ValueError(f"spacing={spacing} is not a positive finite number; give the width of a voxel")
+    across, along = 2 * math.ceil(tube.basal_radius / spacing), math.ceil(tube.length / spacing)
+    offset = (np.arange(across) + 0.5 - across / 2) * spacing
+    radius = np.hypot(offset[:, None, None], offset[None, :, None])
+    axial = (np.arange(along) + 0.5) * spacing
+    mask = (radius >= tube.apical_radius) & (radius <= tube.basal_radius) & (axial <= tube.length)
+    if not mask.any():
+        raise ValueError(f"spacing={spacing} leaves no voxel center in the tissue; give a smaller one")
+    return mask
+
+
+def _corner(mask: Bool[np.ndarray, "z y x"]) -> Float[np.ndarray, "3"]:
+    """Center of voxel (0, 0, 0) in units of the spacing, as (z, y, x)."""
+    return np.array([0.5 - mask.shape[0] / 2, 0.5 - mask.shape[1] / 2, 0.5])

@@ -1,0 +1,1 @@
+"""How a tissue moves: proposals, independent sets, Metropolis-Hastings sweeps, annealing."""

@@ -1,0 +1,265 @@
+"""What a round of moves would change: which cells, what they become, what it costs, who is in whose way."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxtissue.compilation.fusion import PUT, settled, taken
+from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.energy import Model, cell_energies
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.axial_lines import (
+    LEVEL,
+    Posts,
+    Rivals,
+    meeting,
+    pick,
+    posts,
+    see_lines,
+    turn_between,
+)
+from jaxtissue.measurement.cells import BLOCK, CellGeometry, Survey, measure_window, through_windows
+from jaxtissue.measurement.quadrature import Lines
+
+ROOM = 20  # cells that a move may change, on average over a round: twice as many as it does
+SLACK = 1e-5  # of a reach and of R_b, by which a wall may miss a cell and counts as bounding it
+
+
+class Neighborhoods(NamedTuple):
+    """Who may bound whom, padded with the cell itself; fixed during a sweep."""
+
+    around: Int[Array | np.ndarray, "n around"]  # all who have the cell among their candidates, or it has
+    sides: Int[Array | np.ndarray, "n 2 candidates"]  # candidates behind and ahead
+
+
+class Scene(NamedTuple):
+    """What stays the same during a sweep: the energy's model, who may bound whom, and the lines."""
+
+    model: Model
+    near: Neighborhoods
+    lines: Lines
+
+
+class TissueState(NamedTuple):
+    """Backbones and what is known of their cells: sizes, and the reaches a move must undercut to matter."""
+
+    place: Posts
+    volume: Float[Array, "n"]
+    lateral_area: Float[Array, "n"]
+    reach: Float[Array, "n 2 row"]  # in the middle window
+    wide: Bool[Array, "n"]  # the cell goes on beyond it
+
+
+class Changes(NamedTuple):
+    """The cells a round's moves would change, packed: whose move, which cell, and what they become."""
+
+    item: Int[Array, "items"]  # place in the table of movers and cells around them
+    move: Int[Array, "items"]
+    cell: Int[Array, "items"]
+    total: Int[Array, ""]
+    volume: Float[Array, "items"]
+    lateral_area: Float[Array, "items"]
+    reach: Float[Array, "items 2 row"]
+    wide: Bool[Array, "items"]
+
+
+@usual_modes()
+def tissue_state(positions: Float[Array, "n 2"], seen: Survey) -> TissueState:
+    """The state of a tissue that was measured."""
+    sizes = seen.sizes
+    return TissueState(posts(positions), sizes.volume, sizes.lateral_area, seen.reach, seen.wide)
+
+
+class Round(NamedTuple):
+    """Moves of one round: of whom, from where to where, and who is around."""
+
+    movers: Int[Array, "width"]  # padded with -1
+    members: Int[Array, "width around+1"]  # the cells around a mover, and (last) itself
+    around: Posts  # where those around are, [width, around]
+    before: Posts  # the movers, [width]
+    after: Posts
+
+
+def open_round(movers: Array, place: Posts, proposed: Posts, near: Neighborhoods) -> Round:
+    """What a round's moves are about, gathered once."""
+    truth = movers[0] < len(near.around)
+    cells = settled(lambda: taken(near.around, movers), truth)
+    posts_of = settled(lambda: (pick(place, cells), pick(place, movers), pick(proposed, movers)), truth)
+    return Round(movers, jnp.concatenate([cells, movers[:, None]], axis=1), *posts_of)
+
+
+def find_changed(
+    moves: Round, state: TissueState, scene: Scene
+) -> tuple[Bool[Array, "width around+1"], Bool[Array, "width around+1"]]:
+    """Which of the cells around a mover, and (last) itself, its move changes, and which else it might.
+
+    A cell changes where the mover stops it now, or would stop it short of its present reach, with a
+    tolerance: a cell more is measured for nothing, a cell less would be a stale one. That is not known of a
+    cell that goes on beyond its middle window, nor of one whose wall against the mover is parallel to the
+    axis.
+    """
+    lines = scene.lines
+    tube, cells, own = scene.model.tube, moves.members[:, :-1], moves.around
+    reach, truth = taken(state.reach, cells.ravel()), moves.movers[0] < len(state.volume)
+    spare = (0, lines.row - len(lines.number))
+    grid = jax.tree.map(lambda table: jnp.pad(table[:, 0], spare), see_lines(lines, reach.dtype))
+
+    def against(place: Posts) -> tuple[Rivals, Array, Array]:
+        """The movers as rivals of those around them, sooner by the tolerance; who are ahead, who level."""
+        mover = jax.tree.map(lambda column: column[:, None], place)
+        gap, (versine, sine) = mover.axial - own.axial, turn_between(own, mover)
+        floor = LEVEL * tube.apical_radius * jnp.sqrt(2 * versine)
+        apart = jnp.maximum(jnp.maximum(jnp.abs(gap), floor), 1e-30)
+        rivals = Rivals(apart / 2 - SLACK * tube.basal_radius, 0.5 / apart, versine, sine)
+        return rivals, gap > 0, jnp.abs(gap) <= floor
+
+    now, then = (settled(lambda at=at: against(at), truth) for at in (moves.before, moves.after))
+
+    def undercuts(rivals: Rivals, is_ahead: Array) -> Array:
+        meets = meeting(grid, jax.tree.map(lambda column: column.reshape(-1, 1), rivals), tube)
+        is_ahead = is_ahead.reshape(-1, 1)
+        return meets - SLACK * jnp.abs(meets) <= jnp.where(is_ahead, reach[:, 1], reach[:, 0])
+
+    touched = (undercuts(*now[:2]) | undercuts(*then[:2])).astype(jnp.int8)
+    touched = (touched.max(axis=1) > 0).reshape(cells.shape)
+    is_move = (moves.movers >= 0)[:, None]
+    real = (cells != moves.movers[:, None]) & is_move
+    perhaps = real & ~touched & (taken(state.wide, cells) | now[2] | then[2])
+    return (
+        jnp.concatenate([real & touched, is_move], axis=1),
+        jnp.concatenate([perhaps, jnp.zeros_like(is_move)], axis=1),
+    )
+
+
+def count_left(moves: Round, tube: Tube) -> Int[Array, ""]:
+    """Moves whose apical end lands in another cell (the paper would not propose them)."""
+
+    def square(others: Posts, to: Posts) -> Array:
+        versine, _ = turn_between(others, to)
+        return (to.axial - others.axial) ** 2 + 2 * tube.apical_radius**2 * versine
+
+    nearest = square(moves.around, jax.tree.map(lambda column: column[:, None], moves.after)).min(axis=1)
+    left = (nearest < square(moves.before, moves.after)) & (moves.movers >= 0)
+    return left.sum(dtype=jnp.int32)
+
+
+def room(width: int, near: Neighborhoods) -> int:
+    """The most cells that the moves of a round may change together; all around one, at least."""
+    around = near.around.shape[1] + 1
+    return min(width * around, max(around, ROOM * width))
+
+
+def find_collisions(changed: Bool[Array, "width around+1"], moves: Round, n: int) -> Bool[Array, "width"]:
+    """Moves that would change a cell, of `n`, which an earlier move of the round changes too."""
+    cells, width = moves.members, len(changed)
+    order = jnp.arange(width)[:, None]
+    at = jnp.where(changed, cells, n)
+    first = jnp.full(n, width).at[at].min(jnp.broadcast_to(order, at.shape), **PUT)
+    return (changed & (taken(first, cells) < order)).any(axis=1)
+
+
+def pack(chosen: Bool[Array, "..."], early: Bool[Array, "..."], size: int) -> Int[Array, "size"]:
+    """The flat places of at most `size` that are chosen, the early ones first.
+
+    Ranks within rows are products with a triangle of ones, of both kinds at once: a third of the time of
+    sorting. Stages are `settled`, else indices are taken apart by divisions, one by one.
+    """
+    row = 64  # within which both counts fit into one number
+    chosen, early = chosen.ravel(), early.ravel()
+    truth, spare = chosen[0] <= size, (0, -chosen.size % row)
+    kind = settled(lambda: jnp.pad(jnp.where(chosen, jnp.where(early, 128.0, 1.0), 0.0), spare), truth)
+    kind = kind.reshape(-1, row)
+    upto = jnp.matmul(kind, jnp.triu(jnp.ones((row, row), kind.dtype)), precision=jax.lax.Precision.HIGHEST)
+    last = upto[:, -1].astype(jnp.int32)
+    counts = jnp.stack([last // 128, last % 128])
+    before = (
+        jnp.cumsum(counts, axis=1, dtype=jnp.int32) - counts
+    )  # not a product: that would be quadratic in the cells
+    before = before.at[1].add(counts[0].sum(dtype=jnp.int32)) - 1
+
+    def ranks() -> Array:
+        within = upto.astype(jnp.int32)
+        rank = jnp.where(kind > 1, before[0][:, None] + within // 128, before[1][:, None] + within % 128)
+        return jnp.where(kind > 0, rank, size)
+
+    places = jnp.arange(kind.size, dtype=jnp.int32)
+    return jnp.zeros(size, jnp.int32).at[settled(ranks, truth).ravel()].set(places, **PUT)
+
+
+def measure_changes(
+    changed: Array,
+    moves: Round,
+    state: TissueState,
+    proposed: Posts,
+    scene: Scene,
+    reach: Array,
+) -> Changes:
+    """Measure every changed cell as if its one move were made, in as many blocks as it takes.
+
+    `reach` is where the new reaches go, at most so many: room used before, as clearing it takes long.
+    """
+    model, near, lines = scene
+    size = len(reach)
+    item = pack(changed, taken(state.wide, moves.members), size)
+    move, cell = item // changed.shape[1], taken(moves.members.ravel(), item)
+    total = changed.sum(dtype=jnp.int32)
+    blank = jnp.zeros(size, state.volume.dtype)
+    start = Changes(item, move, cell, total, blank, blank, reach, blank > 0)
+
+    def measure(items: Array, shift: Array, done: Changes) -> tuple[Changes, Array]:
+        mover, which = taken(moves.movers, taken(move, items)), taken(cell, items)
+        rivals, to = taken(near.sides, which).transpose(2, 1, 0), pick(proposed, mover)
+
+        def moved(index: Array) -> Posts:
+            here = pick(state.place, index)
+            return jax.tree.map(lambda old, new: jnp.where(index == mover, new, old), here, to)
+
+        window = measure_window(moved(which), moved(rivals), rivals < which, model.tube, lines, shift)
+        at = jnp.where(shift == 0, items, size)
+        done = done._replace(
+            volume=done.volume.at[items].add(window.sizes.volume, **PUT),
+            lateral_area=done.lateral_area.at[items].add(window.sizes.lateral_area, **PUT),
+            reach=done.reach.at[at].set(window.reaches(lines.row), **PUT),
+            wide=done.wide.at[at].set(window.onward.any(axis=0), **PUT),
+        )
+        return done, window.onward
+
+    return through_windows(measure, total, size, BLOCK, start)
+
+
+def drop_unchanged(
+    changes: Changes, touched: Bool[Array, "width around+1"], state: TissueState, model: Model
+) -> Bool[Array, "items"]:
+    """Which of the cells measured their move changes: those touched, and of the others those that differ."""
+    tiny = 1000 * jnp.finfo(state.volume.dtype).eps * model.mean_volume
+    differs = jnp.abs(changes.volume - taken(state.volume, changes.cell)) > tiny
+    differs |= jnp.abs(changes.lateral_area - taken(state.lateral_area, changes.cell)) > tiny
+    return (taken(touched.ravel(), changes.item) | differs) & (jnp.arange(len(changes.item)) < changes.total)
+
+
+def local_differences(
+    changes: Changes, real: Bool[Array, "items"], state: TissueState, model: Model, width: int
+) -> Float[Array, "width"]:
+    """Energy difference of each move: the sum over the cells it changes."""
+    new = cell_energies(CellGeometry(changes.volume, changes.lateral_area), model)
+    before = (taken(size, changes.cell) for size in (state.volume, state.lateral_area))
+    old = cell_energies(CellGeometry(*before), model)
+    return jnp.zeros(width, new.dtype).at[changes.move].add(jnp.where(real, new - old, 0), **PUT)
+
+
+def apply(
+    changes: Changes, accepted: Bool[Array, "items"], movers: Array, proposed: Posts, state: TissueState
+) -> TissueState:
+    """The state after the accepted moves, with the changes that belong to them."""
+    n = len(state.volume)
+    cell = jnp.where(accepted, changes.cell, n)
+    return TissueState(
+        jax.tree.map(lambda old, new: old.at[movers].set(taken(new, movers), **PUT), state.place, proposed),
+        state.volume.at[cell].set(changes.volume, **PUT),
+        state.lateral_area.at[cell].set(changes.lateral_area, **PUT),
+        state.reach.at[cell].set(changes.reach, **PUT),
+        state.wide.at[cell].set(changes.wide, **PUT),
+    )

@@ -1,0 +1,182 @@
+"""Moves: one sweep of Metropolis-Hastings over independent sets (paper, section 3.3, IS-MH).
+
+Classical MH is the same sweep with one move a round. A move's draws depend on seed, sweep and cell alone, so
+both take the same decisions when they visit the cells in the same order.
+"""
+
+import warnings
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxtissue.compilation.fusion import PUT, taken
+from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.dynamics.local_updates import (
+    Scene,
+    TissueState,
+    apply,
+    count_left,
+    drop_unchanged,
+    find_changed,
+    find_collisions,
+    local_differences,
+    measure_changes,
+    open_round,
+    room,
+)
+from jaxtissue.energy import Model
+from jaxtissue.measurement.axial_lines import Posts, posts
+
+COARSE = 0.02  # of the longest move
+
+
+class SweepInfo(NamedTuple):
+    """What happened in a sweep; `energy_change` sums the accepted local energy differences."""
+
+    accepted: Int[Array, ""]
+    collisions: Int[Array, ""]
+    left_cell: Int[Array, ""]
+    rounds: Int[Array, ""]
+    energy_change: Float[Array, ""]
+
+
+class Order(NamedTuple):
+    """The rounds of a sweep: who moves in each, padded with -1, and how many rounds of them are played.
+
+    The moves of a round may change `room` cells together: what `changes.room` gives, or, where the lists are
+    padded, gave before.
+    """
+
+    rounds: Int[Array | np.ndarray, "rounds width"]
+    played: Int[Array | np.ndarray, ""]
+    room: Int[Array | np.ndarray, ""]
+
+
+def draw(seed: int, sweep: int, cells: int, dtype: np.dtype) -> Float[np.ndarray, "3 n"]:
+    """Numbers uniform in [0, 1) for every cell in a sweep: how far it moves, whereto, and whether it may.
+
+    Drawn on the host: a generator would be a seventh of what is compiled for sweeps.
+    """
+    return np.random.default_rng([seed, sweep, 1]).random((3, cells), dtype)
+
+
+def propose(draws: Float[Array, "2 n"], place: Posts, model: Model) -> Posts:
+    """A move for every cell: uniform in an apical disc of radius 0.25 sqrt(A / pi), A the mean apical area
+    per cell (paper, section 4.3), reflected at the tube's ends. Both ends of the backbone move together."""
+    bound, (share, turn) = move_bound(model, len(place.axial)), draws
+    distance, direction = bound * jnp.sqrt(share), 2 * np.pi * turn
+    axial = place.axial + distance * jnp.cos(direction)
+    angle = place.angle + distance * jnp.sin(direction) / model.tube.apical_radius
+    return posts(model.tube.reflect(jnp.stack([axial, angle], axis=-1)))
+
+
+def move_bound(model: Model, cells: int) -> Float[Array, ""]:
+    """Longest move on the apical surface, 0.25 sqrt(2 R_a L / n)."""
+    return 0.25 * (2 * model.tube.apical_radius * model.tube.length / cells) ** 0.5
+
+
+def warn_of_coarse_places(model: Model, cells: int, dtype: np.dtype) -> None:
+    """Warn where axial places are so far apart in this precision that moves are rounded by COARSE or more.
+
+    So are backbones then by a four times smaller part of their mean distance on the apical surface.
+    """
+    apart, longest = float(np.spacing(dtype.type(model.tube.length))), float(move_bound(model, cells))
+    if apart > COARSE * longest:
+        told = f"axial places are {apart:.2g} apart in {dtype}, and backbones some {4 * longest:.2g}"
+        warnings.warn(f"{told}; use 64 bits (--x64)", stacklevel=4)
+
+
+class Proposals(NamedTuple):
+    """The moves of a sweep, one for each cell: whereto, the chance drawn for it, and the temperature."""
+
+    place: Posts
+    chance: Float[Array, "n"]
+    temperature: Float[Array, ""]
+
+
+class Outcome(NamedTuple):
+    """What became of the moves of one round; `left_cell` counts them, the others are one value a move."""
+
+    accepted: Bool[Array, "width"]
+    collides: Bool[Array, "width"]
+    put_off: Bool[Array, "width"]
+    difference: Float[Array, "width"]
+    left_cell: Int[Array, ""]
+
+
+@usual_modes()
+def sweep(
+    draws: Float[Array, "3 n"], state: TissueState, scene: Scene, temperature: Float[Array, ""], order: Order
+) -> tuple[TissueState, SweepInfo]:
+    """One move for every cell, as drawn, round by round: propose, find what changes, measure it, decide.
+
+    A move that would change a cell which an earlier move of its round changes too is put off to the rounds at
+    the end; so are moves that change more cells than there is room for.
+    """
+    proposals = Proposals(propose(draws[:2], state.place, scene.model), draws[2], temperature)
+    rounds, count, n, dtype = order.rounds, order.played, draws.shape[1], draws.dtype
+
+    def unplayed(carry: tuple) -> Array:
+        number, deferred = carry[0], carry[1]
+        return (number < count) | deferred.any()
+
+    def play(carry: tuple) -> tuple:
+        number, deferred, state, info, reach = carry
+        planned = number < count
+        # of those put off the first collides with none, so that there are fewer every time
+        movers = jax.lax.cond(
+            planned,
+            lambda: rounds[jnp.minimum(number, len(rounds) - 1)],
+            lambda: jnp.nonzero(deferred, size=rounds.shape[1], fill_value=-1)[0].astype(rounds.dtype),
+        )
+        deferred = deferred.at[jnp.where(planned | (movers < 0), n, movers)].set(False, **PUT)
+        state, outcome, reach = play_round(movers, state, proposals, scene, order, reach)
+        deferred = deferred.at[jnp.where(outcome.put_off, movers, n)].set(True, **PUT)
+        info = SweepInfo(
+            info.accepted + outcome.accepted.sum(dtype=jnp.int32),
+            info.collisions + (outcome.collides & planned).sum(dtype=jnp.int32),
+            info.left_cell + outcome.left_cell,
+            info.rounds + 1,
+            info.energy_change + jnp.where(outcome.accepted, outcome.difference, 0).sum(),
+        )
+        return number + 1, deferred, state, info, reach
+
+    zero = jnp.zeros((), jnp.int32)
+    nothing = SweepInfo(zero, zero, zero, zero, jnp.zeros((), dtype))
+    reach = jnp.zeros((room(rounds.shape[1], scene.near), *state.reach.shape[1:]), dtype)
+    start = (zero, jnp.zeros(n, bool), state, nothing, reach)
+    _, _, state, info, _ = jax.lax.while_loop(unplayed, play, start)
+    return state, info
+
+
+def play_round(
+    movers: Int[Array, "width"],
+    state: TissueState,
+    proposals: Proposals,
+    scene: Scene,
+    order: Order,
+    reach: Float[Array, "room 2 row"],
+) -> tuple[TissueState, Outcome, Float[Array, "room 2 row"]]:
+    """The state after the moves of one round, all decided at once, what became of them, and `reach` used."""
+    place, chance, temperature = proposals
+    moves = open_round(movers, state.place, place, scene.near)
+    touched, perhaps = find_changed(moves, state, scene)
+    collides = find_collisions(touched, moves, len(chance))
+    measured = (touched | perhaps) & ~collides[:, None]
+    crowded = jnp.cumsum(measured.sum(axis=1)) > order.room
+    measured &= ~crowded[:, None]
+    changes = measure_changes(measured, moves, state, place, scene, reach)
+    real = drop_unchanged(changes, touched, state, scene.model)
+    changed = jnp.zeros(touched.size, bool).at[changes.item].max(real, **PUT).reshape(touched.shape)
+    collides |= find_collisions(changed, moves, len(chance))
+    put_off = collides | (crowded & (movers >= 0))
+    difference = local_differences(changes, real, state, scene.model, len(movers))
+    weight = jnp.exp(-jnp.maximum(difference, 0) / jnp.maximum(temperature, jnp.finfo(chance.dtype).tiny))
+    accepted = (movers >= 0) & ~put_off & (taken(chance, movers) < weight)
+    moved = jnp.where(accepted, movers, len(chance))
+    after = apply(changes, real & taken(accepted, changes.move), moved, place, state)
+    outcome = Outcome(accepted, collides, put_off, difference, count_left(moves, scene.model.tube))
+    return after, outcome, changes.reach

@@ -1,0 +1,71 @@
+"""The compiled parts of annealing: a look at a whole tissue, and a span of sweeps on what was seen."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxtissue.dynamics.local_updates import Scene, TissueState, tissue_state
+from jaxtissue.dynamics.metropolis import Order, SweepInfo, sweep
+from jaxtissue.energy import Model, cell_energies, lateral_tension, volume_elasticity
+from jaxtissue.measurement.cells import CellGeometry
+from jaxtissue.measurement.quadrature import Lines
+from jaxtissue.neighbors.search import padded
+from jaxtissue.neighbors.shortlists import distances, see
+
+
+class Trail(NamedTuple):
+    """Sweep by sweep: sizes and backbones after each, and what it did, [sweeps, ...]."""
+
+    volume: Float[Array | np.ndarray, "sweeps n"]
+    lateral_area: Float[Array | np.ndarray, "sweeps n"]
+    positions: Float[Array | np.ndarray, "sweeps n 2"]
+    info: SweepInfo
+
+
+def look(
+    positions: Float[Array, "n 2"],
+    model: Model,
+    lines: tuple[Lines, Lines],
+    sides: Int[Array, "n 2 candidates"],
+) -> tuple[TissueState, Float[Array, "n 2 candidates"], Float[Array, "n 2 candidates"]]:
+    """The state of a whole tissue, how clear of each cell its candidates are, as `see` tells, and how far."""
+    seen, clear = see(positions, model.tube, lines, sides)
+    return tissue_state(positions, seen), clear, distances(positions, model.tube, sides)
+
+
+def play(
+    draws: Float[Array, "sweeps 3 n"],
+    state: TissueState,
+    scene: Scene,
+    temperatures: Float[Array, "sweeps"],
+    orders: Order,
+) -> tuple[TissueState, Trail]:
+    """Sweeps one after another; the leaves of `orders` have an axis of sweeps.
+
+    A sweep without rounds is none: so fewer sweeps than temperatures need no program of their own.
+    """
+
+    def one(state: TissueState, this: tuple) -> tuple[TissueState, Trail]:
+        drawn, temperature, order = this
+        state, info = sweep(drawn, state, scene, temperature, order)
+        positions = jnp.stack([state.place.axial, state.place.angle], axis=-1)
+        return state, Trail(state.volume, state.lateral_area, positions, info)
+
+    return jax.lax.scan(one, state, (draws, temperatures, orders))
+
+
+def fit_play(arguments: tuple, sizes: tuple[int, ...]) -> tuple:
+    """The arguments of `play` with lists of all around a cell and with rounds of the given lengths."""
+    draws, state, scene, temperatures, orders = arguments
+    spare = ((0, 0), (0, sizes[1] - orders.rounds.shape[1]), (0, 0))
+    near = scene.near._replace(around=padded(scene.near.around, sizes[0]))
+    orders = orders._replace(rounds=np.pad(orders.rounds, spare, constant_values=-1))
+    return draws, state, scene._replace(near=near), temperatures, orders
+
+
+def energy_terms(cells: CellGeometry, model: Model) -> tuple[Array, Array, Array]:
+    """Each cell's energy, and of it the paper's two terms."""
+    return cell_energies(cells, model), volume_elasticity(cells, model), lateral_tension(cells, model)

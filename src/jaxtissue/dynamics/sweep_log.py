@@ -1,0 +1,126 @@
+"""What a run tells of each sweep, and a tissue as it is measured between sweeps."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import sparse
+
+from jaxtissue.dynamics.local_updates import Neighborhoods, TissueState
+from jaxtissue.dynamics.metropolis import SweepInfo
+from jaxtissue.neighbors.search import contact_graph, padded
+from jaxtissue.neighbors.shortlists import CANDIDATES, TOUCHES, around, nearest_sides, shortlist_length
+
+ENOUGH = 200  # moves by which acceptance is judged
+ALL = 0.95  # of the moves, accepted: nearly all
+AROUND = 56  # who may be around a cell that has CANDIDATES on each side: room enough for most tissues
+
+
+class Measured(NamedTuple):
+    """A state measured: its cells, the candidates of each, and how clear of it and how far away these are."""
+
+    tissue: TissueState
+    sides: Int[np.ndarray, "n 2 candidates"]
+    clear: Float[np.ndarray, "n 2 candidates"]
+    far: Float[np.ndarray, "n 2 candidates"]
+
+    def contacts(self, within: float = 0.0) -> sparse.csr_array:
+        """Who stops whom, or could if one of them were moved by at most `within`: [n, n], symmetric."""
+        return contact_graph(self.sides, self.clear <= (within**2 if within else TOUCHES))
+
+    def urgency(self) -> Float[np.ndarray, "n 2 candidates"]:
+        """By which shortlists are drawn up, the least first: clearances hold less long of who is farther."""
+        return self.clear * self.far
+
+    @property
+    def sizes(self) -> Float[np.ndarray, "2 1 n"]:
+        """Volumes and lateral areas of the cells."""
+        return np.stack([self.tissue.volume, self.tissue.lateral_area])[:, None]
+
+
+class SweepRecord(NamedTuple):
+    """One row of a run: the tissue after a sweep, and what the sweep did.
+
+    `drift` is the relative difference of the energy carried along by local differences to one measured afresh
+    with new candidate lists, where lists were renewed after the sweep, else 0; `left_cell` counts the moves
+    proposed out of their own cell. `seconds` of replicas that run together are shared out among them.
+    """
+
+    sweep: int
+    energy: float
+    volume_energy: float
+    area_energy: float
+    temperature: float
+    acceptance: float
+    rounds: int
+    collisions: int
+    seconds: float
+    left_cell: int
+    drift: float
+
+
+def sweep_record(
+    sweep: int,
+    energies: Float[np.ndarray, "3"],
+    cells: int,
+    temperatures: Float[np.ndarray, "sweeps"],
+    info: SweepInfo | None = None,
+) -> SweepRecord:
+    """The row of a sweep, the first of which has the number 1; of a state as it is where nothing was done."""
+    index = min(max(sweep - 1, 0), len(temperatures) - 1)
+    accepted, collisions, left_cell, rounds, _ = (np.asarray(leaf).item() for leaf in info or 5 * [0])
+    return SweepRecord(
+        sweep,
+        *energies.tolist(),
+        temperature=float(temperatures[index]) if len(temperatures) else 0.0,
+        acceptance=accepted / cells,
+        rounds=rounds,
+        collisions=collisions,
+        seconds=0.0,
+        left_cell=left_cell,
+        drift=0.0,
+    )
+
+
+class AcceptanceWatch:
+    """Doubts an acceptance of a run's first moves that says that T does not fit the energy."""
+
+    def __init__(self, cells: int) -> None:
+        self._cells, self._moves, self._accepted, self._done = cells, 0, 0.0, False
+
+    def doubt(self, records: Sequence[SweepRecord]) -> str:
+        """A warning, once, after enough moves of which none, or nearly all, were accepted; else nothing."""
+        self._moves += self._cells * len(records)
+        self._accepted += self._cells * sum(record.acceptance for record in records)
+        if self._done or self._moves < ENOUGH:
+            return ""
+        share, self._done = self._accepted / self._moves, True
+        if 0 < share <= ALL:
+            return ""
+        wrong, change = ("no move is", "higher") if share == 0 else (f"{share:.0%} of the moves are", "lower")
+        fit = f"T = {records[-1].temperature:g} does not fit the energies, which have the units of lengths"
+        return f"{wrong} accepted: {fit}; take a {change} --temperature, or --relative"
+
+
+def least_around(cells: int) -> int:
+    """Room for those around each cell that is enough for most tissues, so that it seldom has to grow."""
+    most = AROUND * shortlist_length(cells) / CANDIDATES
+    return -(-int(min(most, cells)) // 8) * 8
+
+
+def shortlisted(
+    sides: Int[np.ndarray, "n 2 candidates"],
+    clear: Float[np.ndarray, "n 2 candidates"],
+    width: int,
+) -> Neighborhoods:
+    """The candidates on each side for a few sweeps, and all around each cell, at least `width`.
+
+    With room to grow, where that is not enough.
+    """
+    width = max(width, least_around(len(sides)))
+    few = nearest_sides(sides, clear, min(shortlist_length(len(sides)), sides.shape[2]))
+    lists = around(few)
+    if lists.shape[1] > width:
+        width = -(-int(1.1 * lists.shape[1]) // 16) * 16
+    return Neighborhoods(padded(lists, width), few)

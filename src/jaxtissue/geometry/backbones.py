@@ -1,0 +1,72 @@
+"""Backbones: one straight segment per cell, from the apical to the basal surface (paper, Definition 2)."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxtissue.compilation.modes import usual_modes
+
+
+class Backbones(eqx.Module):
+    """The two ends of each cell's backbone, in Cartesian coordinates (unit: that of the tissue's lengths)."""
+
+    apical: Float[Array, "n 3"]
+    basal: Float[Array, "n 3"]
+
+
+@usual_modes()
+def distance_to_segment(
+    point: Float[Array, "3"], start: Float[Array, "3"], end: Float[Array, "3"]
+) -> Float[Array, ""]:
+    """Distance from one point to one segment, min over 0 <= u <= 1 of |point - start - u (end - start)|.
+
+    A segment of length zero is a point. Lift it with `jax.vmap` for many points or segments.
+
+    >>> import jax.numpy as jnp
+    >>> start, end = jnp.array([0.0, 0.0, 0.0]), jnp.array([2.0, 0.0, 0.0])
+    >>> float(distance_to_segment(jnp.array([1.0, 3.0, 0.0]), start, end))
+    3.0
+    >>> float(distance_to_segment(jnp.array([5.0, 4.0, 0.0]), start, end))
+    5.0
+    """
+    along = end - start
+    share = jnp.clip(_ratio(jnp.dot(point - start, along), jnp.dot(along, along)), 0, 1)
+    return jnp.linalg.norm(point - start - share * along)
+
+
+@usual_modes()
+def distance_between_segments(
+    start_a: Float[Array, "3"], end_a: Float[Array, "3"], start_b: Float[Array, "3"], end_b: Float[Array, "3"]
+) -> Float[Array, ""]:
+    """Smallest distance of two segments, also where they are parallel, cross or are single points.
+
+    It is taken between an end of one and the other segment, or between the feet of the common perpendicular
+    of the two lines where both lie inside. Each candidate joins points of the segments, so none is too small.
+
+    >>> import jax.numpy as jnp
+    >>> a = jnp.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    >>> b = jnp.array([[0.0, -1.0, 2.0], [0.0, 1.0, 2.0]])
+    >>> float(distance_between_segments(*a, *b))
+    2.0
+    """
+    along_a, along_b, offset = end_a - start_a, end_b - start_b, start_b - start_a
+    normal = jnp.cross(along_a, along_b)
+    scale = jnp.dot(normal, normal)
+    share_a = jnp.clip(_ratio(jnp.dot(jnp.cross(offset, along_b), normal), scale), 0, 1)
+    share_b = jnp.clip(_ratio(jnp.dot(jnp.cross(offset, along_a), normal), scale), 0, 1)
+    candidates = jnp.stack(
+        [
+            jnp.linalg.norm(offset + share_b * along_b - share_a * along_a),
+            distance_to_segment(start_a, start_b, end_b),
+            distance_to_segment(end_a, start_b, end_b),
+            distance_to_segment(start_b, start_a, end_a),
+            distance_to_segment(end_b, start_a, end_a),
+        ]
+    )
+    return jnp.min(candidates)
+
+
+def _ratio(numerator: Float[Array, ""], denominator: Float[Array, ""]) -> Float[Array, ""]:
+    """The quotient, or 0 for a denominator of 0."""
+    nonzero = denominator > 0
+    return jnp.where(nonzero, numerator, 0) / jnp.where(nonzero, denominator, 1)

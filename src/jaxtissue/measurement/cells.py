@@ -1,0 +1,235 @@
+"""The cells, measured: volume, lateral area, surfaces, perimeters, in windows of lines round each of them."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxtissue.compilation.fusion import PUT, settled, taken
+from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.axial_lines import Posts, pick, posts, see_rivals, see_window
+from jaxtissue.measurement.quadrature import Lines
+from jaxtissue.measurement.walls import END, Walls, stop, strips, walls
+
+BLOCK = 48  # cells measured at once, whole vectors of 16; of 64 or 128 rows evict each other from the cache
+
+
+class CellGeometry(eqx.Module):
+    """Sizes of each cell; those on the two surfaces only where the lines include the surfaces.
+
+    The errors are bounds that most cells keep, in units of the sizes: of whole tissues measured once.
+    """
+
+    volume: Float[Array, "cells"]
+    lateral_area: Float[Array, "cells"]
+    apical_area: Float[Array, "cells"] | None = None
+    basal_area: Float[Array, "cells"] | None = None
+    apical_perimeter: Float[Array, "cells"] | None = None
+    basal_perimeter: Float[Array, "cells"] | None = None
+    touches_end: Bool[Array, "cells"] | None = None
+    volume_error: Float[Array, "cells"] | None = None
+    lateral_area_error: Float[Array, "cells"] | None = None
+
+
+class Window(NamedTuple):
+    """Cells measured within one window of lines."""
+
+    sizes: CellGeometry
+    reach: Float[Array, "lines 2 cells"]  # behind and ahead; -inf on lines that do not bear on the cell
+    by: Int[Array, "lines 2 cells"]  # the candidate that stops the cell there, END the tube
+    onward: Bool[Array, "2 cells"]  # the cell goes on before the first lines, or after the last
+
+    def reaches(self, row: int) -> Float[Array, "cells 2 row"]:
+        """The reaches of each cell in rows, padded with -inf."""
+        spare = ((0, 0), (0, 0), (0, row - len(self.reach)))
+        return jnp.pad(self.reach.transpose(2, 1, 0), spare, constant_values=-jnp.inf)
+
+
+def measure_window(
+    own: Posts, others: Posts, first: Array, tube: Tube, lines: Lines, shift: Int[Array, "cells"]
+) -> Window:
+    """Measure the cells of the backbones `own`, [cells], among their candidates, [candidates, 2, cells].
+
+    Each in the window `shift` windows onward. `first` tells the candidates with lower numbers than the cell:
+    at equal heights these are behind.
+    """
+    dtype, truth = own.axial.dtype, own.axial[0] > -1
+    ends = jnp.stack([own.axial, tube.length - own.axial])
+    grid = see_window(lines, dtype, shift, truth)
+    rivals = settled(lambda: see_rivals(own, others, first, tube), truth)
+    by = stop(grid, rivals, ends, tube, truth)
+    wall = walls(by, rivals, ends, grid, tube, truth)
+    inside, step = wall.reach[:, 0] + wall.reach[:, 1] > 0, lines.step(dtype, shift)
+    strip = jnp.pad((inside[1:] | inside[:-1]) & (step[:-1] > 0), ((1, 1), (0, 0)))
+    bears = strip[1:] | strip[:-1]
+    edges = np.stack([lines.number == sign * np.array(lines.half)[lines.layer] for sign in (-1, 1)])
+    at_end = ((by == END) & (inside & bears)[:, None]).any(axis=(0, 1))
+    (volume, area), *on_surfaces = integrate(wall, step, lines, truth)
+    areas, perimeters = zip(*on_surfaces, strict=True) if on_surfaces else 2 * [(None, None)]
+    sizes = CellGeometry(volume, area, *areas, *perimeters, touches_end=at_end)
+    # a product, since a reduction would run one number at a time
+    onward = jnp.asarray(edges, dtype) @ (inside & bears).astype(dtype) > 0
+    return Window(sizes, jnp.where(bears[:, None], wall.reach, -jnp.inf), by, onward)
+
+
+def integrate(wall: Walls, step: Array, lines: Lines, truth: Array) -> list[tuple[Array, Array]]:
+    """Volume and lateral area, and area and perimeter on each surface among the lines: sums over strips.
+
+    Sums are products with the weights of the lines: as reductions they would run one number at a time.
+    """
+    radius, weight = (jnp.asarray(table, step.dtype)[lines.layer] for table in (lines.radius, lines.weight))
+
+    def summed(rows: slice, weights: Array, tilt: Array) -> tuple[Array, Array]:
+        part = jax.tree.map(lambda table: table[rows], wall)
+        sizes = settled(lambda: strips(part, tilt[rows], step[rows]), truth)
+        weights = (weights * radius)[rows][:-1].astype(sizes.dtype)
+        total = jnp.matmul(weights, sizes, precision=jax.lax.Precision.HIGHEST)
+        return total.real, total.imag
+
+    inner = int(np.sum(lines.layer < lines.inner_layers))
+    found = [summed(slice(0, inner), weight, wall.area)]
+    for k in range(2 if lines.surfaces else 0):
+        (rows,) = np.nonzero(lines.layer == lines.inner_layers + k)
+        found.append(summed(slice(rows[0], rows[-1] + 1), jnp.ones_like(weight), wall.edge))
+    return found
+
+
+class Queue(NamedTuple):
+    """Windows to be measured: a ring of items, each with how many windows onward, and from where to where."""
+
+    item: Int[Array, "capacity"]
+    shift: Int[Array, "capacity"]
+    begin: Int[Array, ""]
+    end: Int[Array, ""]
+
+
+def through_windows(
+    measure: Callable[[Array, Array, Any], tuple[Any, Array]],
+    count: Array | int,
+    size: int,
+    width: int,
+    done: Any,
+) -> Any:
+    """Measure `count` of at most `size` cells in the middle window, then those that go on beyond it.
+
+    `measure(items, shift, done)` adds to `done` what `width` items (those from `size` on are none) show, each
+    in the window `shift` windows onward, and tells which go on, [2, width], before the window and after.
+    A cell that goes on joins the end of the queue, so blocks stay full whatever windows they hold.
+    """
+    # a cell is in the queue once for each direction at most
+    capacity = 2 * size + width
+
+    def block(state: tuple[Queue, Any]) -> tuple[Queue, Any]:
+        queue, done = state
+        place = queue.begin + jnp.arange(width, dtype=jnp.int32)
+        at = place % capacity
+        items, shift = jnp.where(place < queue.end, queue.item[at], size), queue.shift[at]
+        done, onward = measure(items, shift, done)
+        onward &= jnp.stack([shift <= 0, shift >= 0]) & (items < size)
+
+        def append() -> tuple[Array, Array, Array]:
+            rank = jnp.cumsum(onward.ravel(), dtype=jnp.int32).reshape(onward.shape)
+            to = jnp.where(onward, (queue.end + rank - 1) % capacity, capacity)
+            item, onto = jnp.broadcast_to(items, onward.shape), shift + jnp.array([[-1], [1]], jnp.int32)
+            return (
+                queue.item.at[to].set(item, **PUT),
+                queue.shift.at[to].set(onto, **PUT),
+                queue.end + rank[-1, -1],
+            )
+
+        # most cells end in their middle window
+        item, shift, end = jax.lax.cond(onward.any(), append, lambda: (queue.item, queue.shift, queue.end))
+        return Queue(item, shift, jnp.minimum(queue.begin + width, queue.end), end), done
+
+    start = Queue(
+        jnp.arange(capacity, dtype=jnp.int32),
+        jnp.zeros(capacity, jnp.int32),
+        jnp.zeros((), jnp.int32),
+        jnp.asarray(count, jnp.int32),
+    )
+    _, done = jax.lax.while_loop(lambda state: state[0].begin < state[0].end, block, (start, done))
+    return done
+
+
+class Survey(NamedTuple):
+    """What measuring cells tells beside their sizes."""
+
+    sizes: CellGeometry
+    wide: Bool[Array, "cells"]  # the cell goes on beyond the middle window
+    reach: Float[Array, "cells 2 row"]  # of the middle window
+    touched: Bool[Array, "cells 2 candidates"]  # the candidate stops the cell on some line that bears on it
+    stops: Bool[
+        Array, "cells 2 candidates"
+    ]  # or on another of the middle window, which else might bear on it
+
+
+@usual_modes()
+def measure_cells(
+    positions: Float[Array, "n 2"],
+    tube: Tube,
+    lines: Lines,
+    neighbors: Int[Array | np.ndarray, "n 2 candidates"],
+    cells: Int[Array, "cells"] | None = None,
+    all_round: Bool[Array, "n"] | None = None,
+) -> tuple[CellGeometry, Survey]:
+    """Measure all cells, or the given ones, against their candidate neighbors behind and ahead.
+
+    Lists are padded with the cell itself. Cells that are to be measured `all_round` are looked for in all
+    windows round the tube, others as long as one window after the other holds a part of them. Pure: `jit`
+    it, `vmap` it over replicas, each with the lines planned for its tube; positions, the tube's sizes and the
+    lines are traced. V_i = integral of the interval's length over r dr dt, A_i = integral of the walls' tilt.
+    Paper, section 3.1.
+    """
+    which = jnp.arange(len(positions), dtype=jnp.int32) if cells is None else jnp.asarray(cells)
+    neighbors, table, size = jnp.asarray(neighbors), posts(positions), len(which)
+    width = min(size, BLOCK)
+    dtype = positions.dtype
+    blank = jnp.zeros(size, dtype)
+    surfaces = [blank if lines.surfaces else None] * 4
+    sizes = CellGeometry(blank, blank, *surfaces, touches_end=blank > 0)
+    start = Survey(
+        sizes,
+        blank > 0,
+        jnp.zeros((size, 2, lines.row), dtype),
+        *2 * [jnp.zeros((size, *neighbors.shape[1:]), bool)],
+    )
+
+    def measure(items: Array, shift: Array, done: Survey) -> tuple[Survey, Array]:
+        members = taken(which, items)
+        rivals = taken(neighbors, members).transpose(2, 1, 0)
+        own, others = pick(table, members), pick(table, rivals)
+        window = measure_window(own, others, rivals < members, tube, lines, shift)
+        onward = window.onward
+        if all_round is not None:
+            further = (lines.step(dtype, shift + side).any(axis=0) for side in (-1, 1))
+            onward |= taken(all_round, members) & jnp.stack(list(further))
+        return add_window(items, shift, window, done), onward
+
+    found = through_windows(measure, size, size, width, start)
+    return found.sizes, found
+
+
+def add_window(items: Array, shift: Array, window: Window, done: Survey) -> Survey:
+    """What is known of cells, and what one more window shows of some."""
+
+    def add(known: Array, more: Array) -> Array:
+        if known.dtype == bool:
+            return known.at[items].max(more, **PUT)
+        return known.at[items].add(more, **PUT)
+
+    at = jnp.where(shift == 0, items, len(done.wide))
+    side, none = jnp.arange(2)[:, None], done.touched.shape[2]
+    stopper = jnp.where(window.by == END, none, window.by).transpose(2, 1, 0)
+    toucher = jnp.where(window.reach.transpose(2, 1, 0) > -jnp.inf, stopper, none)
+    return Survey(
+        jax.tree.map(add, done.sizes, window.sizes),
+        done.wide.at[at].set(window.onward.any(axis=0), **PUT),
+        done.reach.at[at].set(window.reaches(done.reach.shape[2]), **PUT),
+        done.touched.at[items[:, None, None], side, toucher].set(True, **PUT),
+        done.stops.at[at[:, None, None], side, stopper].set(True, **PUT),
+    )

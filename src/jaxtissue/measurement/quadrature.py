@@ -1,0 +1,169 @@
+"""Where cells are measured: lines parallel to the axis, in layers of constant radius."""
+
+import functools
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float, Int
+
+from jaxtissue.geometry.tube import Tube
+
+
+class Resolution(NamedTuple):
+    """How finely cells are measured: `layers` in radius, `density` lines per mean cell width."""
+
+    layers: int
+    density: float
+
+
+REACH = 1.7  # mean cell widths on either side of a backbone that the first window of lines covers
+GRAIN = 1.5  # mean cell widths to which layers have whole numbers of lines
+INSET = 0.37  # about (sqrt(3) - 1) / 2, of the best rules for natural splines
+# Cut from the frontier of error against time: on every reference tube `draft` errs by at most V 0.5 %, A 3 %,
+# `standard` by V 0.07 %, A 1 %, `fine` by V 0.05 %, A 0.5 %. These are the bars of the races.
+PRESETS = {"draft": Resolution(4, 4), "standard": Resolution(7, 8), "fine": Resolution(10, 10)}
+
+
+def as_resolution(given: str | Resolution | tuple[int, float]) -> Resolution:
+    """A resolution as it is, of a preset's name (`draft`, `standard`, `fine`), or written as `8x12`.
+
+    Every function that takes a resolution takes any of these. Raises `ValueError` for another name, and for
+    layers or a density that are not within 1 and 64.
+
+    >>> as_resolution("8x12")
+    Resolution(layers=8, density=12.0)
+    >>> as_resolution("sharp")
+    Traceback (most recent call last):
+    ValueError: unknown resolution 'sharp'; use draft, standard, fine or LAYERSxDENSITY such as 8x12
+    """
+    if isinstance(given, str) and given in PRESETS:
+        return PRESETS[given]
+    try:
+        layers, density = given.split("x") if isinstance(given, str) else given
+        resolution = Resolution(int(layers), float(density))
+        whole = isinstance(layers, str) or resolution.layers == layers
+    except (TypeError, ValueError):
+        resolution, whole = Resolution(0, 0.0), False
+    if not (whole and 1 <= resolution.layers <= 64 and 1 <= resolution.density <= 64):
+        known = ", ".join(PRESETS)
+        raise ValueError(f"unknown resolution {given!r}; use {known} or LAYERSxDENSITY such as 8x12")
+    return resolution
+
+
+class Lines(eqx.Module):
+    """The lines on which every cell is measured.
+
+    Layer k lies at `radius[k]` and counts with `weight[k]`. There, backbone i is given the lines at angles
+    t_i + m 2 pi / circle[k], in windows of |m| <= half[k] and, for a cell that goes on beyond, in the windows
+    to either side. So every cell sees its own backbone's line, and what is measured depends neither on how
+    the tube is turned nor on how wide the windows are. With `surfaces`, two more layers lie on the apical and
+    basal surface, of weight 0. The lines are those of one tube; as only the windows' widths are static, those
+    of another need no new program, and those of several can be stacked.
+    """
+
+    radius: Float[Array | np.ndarray, "layers"]
+    weight: Float[Array | np.ndarray, "layers"]
+    circle: Float[Array | np.ndarray, "layers"]
+    half: tuple[int, ...] = eqx.field(static=True)
+    surfaces: bool = eqx.field(static=True, default=False)
+
+    @property
+    def number(self) -> np.ndarray:
+        """The number m of each line in its window, [lines]."""
+        return np.concatenate([np.arange(-half, half + 1) for half in self.half])
+
+    @property
+    def layer(self) -> np.ndarray:
+        """Layer of each line, [lines]."""
+        return np.repeat(np.arange(len(self.half)), 2 * np.array(self.half) + 1)
+
+    @property
+    def row(self) -> int:
+        """Length of a row of one number a line, padded so that none is left over from vectors of 8."""
+        return -(-len(self.number) // 8) * 8
+
+    @property
+    def inner_layers(self) -> int:
+        """Number of layers that carry volume."""
+        return len(self.half) - 2 * self.surfaces
+
+    def offset(self, dtype: DTypeLike) -> Float[Array, "lines"]:
+        """Angle of each line from the backbone's, in the middle window."""
+        return 2 * math.pi * jnp.asarray(self.number, dtype) / self._circle(dtype)
+
+    def turn(self, dtype: DTypeLike, shift: Int[Array, "cells"]) -> Float[Array, "layers cells"]:
+        """Angle of the window `shift` windows onward from the middle one."""
+        width = 2 * math.pi * jnp.asarray(2 * np.array(self.half), dtype) / jnp.asarray(self.circle, dtype)
+        return width[:, None] * shift
+
+    def step(self, dtype: DTypeLike, shift: Int[Array, "cells"]) -> Float[Array, "lines cells"]:
+        """Angle from each line to the next of its layer, 0 where there is none in window and circle."""
+        circle, half = self._circle(dtype)[:, None], np.array(self.half)[self.layer][:, None]
+        number = jnp.asarray(self.number[:, None] + 2 * half * shift, dtype)
+        first = -jnp.floor(circle / 2)
+        within = (number >= first) & (number < first + circle) & (self.number[:, None] < half)
+        return jnp.where(within, 2 * math.pi / circle, 0)
+
+    def _circle(self, dtype: DTypeLike) -> Float[Array, "lines"]:
+        return jnp.asarray(self.circle, dtype)[jnp.asarray(self.layer)]
+
+
+def plan_lines(
+    tube: Tube, cells: int, resolution: Resolution | str, reach: float = REACH, surfaces: bool = False
+) -> Lines:
+    """The lines for a tube of `cells` cells, in windows of `reach` mean cell widths to either side.
+
+    The mean cell width at radius r is sqrt(2 pi r L / n). Layers have about 0.65 to 1.35 times `density`
+    lines per width, more the farther out, where cells are larger and errors weigh more; the surfaces, which
+    carry no volume, have 1.5 times. At least 16 lines run once round the outermost and the surfaces.
+    """
+    resolution = as_resolution(resolution)
+    radius, weight = layer_rule(tube, resolution.layers)
+    if surfaces:
+        ends = float(tube.apical_radius), float(tube.basal_radius)
+        radius, weight = np.append(radius, ends), np.append(weight, [0.0, 0.0])
+    turn = np.sqrt(2 * math.pi * radius * cells / float(tube.length))  # the circle in mean cell widths
+    depth = (np.arange(resolution.layers) + 0.5) / resolution.layers
+    share = np.append(0.65 + 0.7 * depth, (1.5, 1.5) if surfaces else ())
+    whole = np.diff(np.round(np.cumsum(GRAIN * resolution.density * share)), prepend=0)
+    dense = np.maximum(1, whole) / GRAIN
+    fewest = max(16, 4 * resolution.density)
+    round_once = dense * turn * max(1, fewest / (dense * turn)[resolution.layers - 1])
+    circle = np.ceil(np.where(weight == 0, np.maximum(round_once, fewest), round_once))
+    half = np.ceil(reach * dense)
+    return Lines(radius, weight, circle, tuple(half.astype(int).tolist()), surfaces)
+
+
+def layer_rule(tube: Tube, layers: int) -> tuple[Float[np.ndarray, "layers"], Float[np.ndarray, "layers"]]:
+    """Radii and weights of the layers: the integral over (R_a, R_b) of the natural cubic spline through them.
+
+    A cell's section S(r) is no polynomial: its second derivative jumps wherever the cell changes neighbors,
+    and most often near the lumen. So layers are equally spaced in sqrt(r), the first and last INSET of a
+    spacing from the surfaces. Exact for what is linear in r, such as the sum over all cells.
+
+    >>> radius, weight = layer_rule(Tube(1, 1, 4), 3)
+    >>> radius.round(2).tolist(), round(float(weight @ radius), 9)  # (4^2 - 1^2) / 2
+    ([1.29, 2.25, 3.48], 7.5)
+    """
+    radius, weight = _layer_rule(float(tube.apical_radius), float(tube.basal_radius), layers)
+    return radius.copy(), weight.copy()
+
+
+@functools.lru_cache(256)
+def _layer_rule(inner: float, outer: float, layers: int) -> tuple[np.ndarray, np.ndarray]:
+    if layers == 1:
+        return np.array([(inner + outer) / 2]), np.array([outer - inner])
+    share = (np.arange(layers) + INSET) / (layers - 1 + 2 * INSET)
+    radius = (math.sqrt(inner) + (math.sqrt(outer) - math.sqrt(inner)) * share) ** 2
+    from scipy.interpolate import CubicSpline  # takes a third of a second to import
+
+    spline = CubicSpline(radius, np.eye(layers), bc_type="natural")
+    weight = spline.integrate(radius[0], radius[-1])
+    for end, surface in ((radius[0], inner), (radius[-1], outer)):  # beyond its knots it is straight
+        gap = abs(surface - end)
+        weight += gap * spline(end) + (surface - end) * gap / 2 * spline(end, 1)
+    return radius, weight

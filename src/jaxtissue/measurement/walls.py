@@ -1,0 +1,209 @@
+"""Where cells end: on each line parallel to the axis the walls against the nearest rivals behind and ahead.
+
+With (x - x_j)^2 + f_j the squared distance to backbone j, as in `views`, a cell is one interval on each line;
+seen from x_i it ends where the nearest rival takes over, at a *reach* of
+h = |x_j - x_i| / 2 + (f_j - f_i) / (2 |x_j - x_i|) ahead (x_j > x_i) and behind, two mirrored sides. Between
+two lines each side is taken as the two tangents of the walls h(t), whose slope and tilt are closed forms.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Int
+
+from jaxtissue.compilation.fusion import arctan, larger, settled, smaller, taken
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.axial_lines import FAR, LEVEL, Grid, Rivals, meeting
+
+END = -1
+CHUNK = 24  # most candidates in one unrolled loop: of 8 it compiles 2 s sooner, and takes twice as long
+UNROLLED = 48  # most candidates whose loops follow each other without a loop around them
+
+
+class Walls(NamedTuple):
+    """The walls that end each cell on each line, behind and ahead, [lines, 2, cells]."""
+
+    tangent: Array  # reach + i dh/dt: again one table
+    area: Array  # wall area per r dr dt; 0 at the tube's end
+    edge: Array  # wall length on the layer per r dt
+
+    @property
+    def reach(self) -> Array:
+        """The reach h."""
+        return self.tangent.real
+
+    @property
+    def slope(self) -> Array:
+        """Its derivative dh/dt."""
+        return self.tangent.imag
+
+
+def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> Int[Array, "lines 2 cells"]:
+    """Who stops each cell on each line, behind and ahead; END: the tube.
+
+    The candidate's number rides in the lowest bits of its reach, so that one value is carried along (two
+    would each repeat the loop). That blurs the choice, not the reach, by 1.5e-5 of it; of more than 128
+    candidates a side, as only crowded tissue needs, by 1e-4.
+    """
+    candidates, _, cells = rivals.half.shape
+    # as many for short lists as for long ones, and lists are in order of numbers, so that both choose alike
+    # where two reaches are so close
+    bits = next(bits for bits in (7, 10, 16) if candidates <= 1 << bits)
+    integer = jnp.int64 if ends.dtype == jnp.float64 else jnp.int32
+    recast = jax.lax.bitcast_convert_type
+    line = jax.tree.map(lambda table: table[:, None], grid)
+
+    def nearer(least: Array, among: Rivals, first: Array | int) -> Array:
+        for number in range(len(among.half)):
+            reach = meeting(line, jax.tree.map(lambda table, at=number: table[at], among), tube)
+            coded = recast((recast(reach, integer) & (-1 << bits)) | (first + number), ends.dtype)
+            least = jnp.where(coded < least, coded, least)
+        return least
+
+    least = jnp.broadcast_to(ends, (len(grid.z), 2, cells))
+    if candidates <= UNROLLED:
+        chunks = -(-candidates // CHUNK)
+        for part in np.array_split(np.arange(candidates), chunks):
+            some = jax.tree.map(lambda table, at=slice(part[0], part[-1] + 1): table[at], rivals)
+            least = settled(lambda least=least, some=some, at=part[0]: nearer(least, some, at), truth)
+    else:
+        tables = in_chunks(rivals)
+        chunks, length = tables.half.shape[:2]
+        first = length * jnp.arange(chunks, dtype=integer)
+
+        def more(least: Array, some: tuple[Rivals, Array]) -> tuple[Array, None]:
+            return settled(lambda: nearer(least, *some), truth), None
+
+        least, _ = jax.lax.scan(more, least, (tables, first))
+    winner = (recast(least, integer) & ((1 << bits) - 1)).astype(jnp.int32)
+    return jnp.where(least < ends, winner, END)
+
+
+def in_chunks(rivals: Rivals) -> Rivals:
+    """Rivals in tables of CHUNK at most, [chunks, length, 2, cells], the last one padded with nobody."""
+    candidates, *shape = rivals.half.shape
+    chunks = -(-candidates // CHUNK)
+    length = -(-candidates // chunks)
+    spare = ((0, chunks * length - candidates), (0, 0), (0, 0))
+    padded = (
+        jnp.pad(table, spare, constant_values=nobody).reshape(chunks, length, *shape)
+        for table, nobody in zip(rivals, (FAR, 0.0, 0.0, 0.0), strict=True)
+    )
+    return Rivals(*padded)
+
+
+def least_reach(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> Array:
+    """How far each cell reaches on each line, behind and ahead, [lines, 2, cells]: as in its `walls`."""
+    line = jax.tree.map(lambda table: table[:, None], grid)
+
+    def nearer(least: Array, some: Rivals) -> tuple[Array, None]:
+        def compare() -> Array:
+            nearest = least
+            for number in range(len(some.half)):
+                rival = jax.tree.map(lambda table, at=number: table[at], some)
+                nearest = smaller(meeting(line, rival, tube), nearest)
+            return nearest
+
+        return settled(compare, truth), None
+
+    start = jnp.broadcast_to(ends, (len(grid.z), *ends.shape))
+    return jax.lax.scan(nearer, start, in_chunks(rivals))[0]
+
+
+def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth: Array) -> Walls:
+    """Reach, slope and tilt of the walls that end each cell, against the rival there.
+
+    A rival's turn is one complex number, versine + i sine: gathering two real ones takes twice as long. Walls
+    that are level are seldom there, and only then looked for.
+    """
+    cells, end = by.shape[-1], by == END
+    at = jnp.maximum(by, 0) * (2 * cells) + jnp.arange(2 * cells, dtype=by.dtype).reshape(2, cells)
+
+    def facing(table: Array) -> Array:
+        return settled(lambda: taken(table.ravel(), at), truth)
+
+    turn, half = facing(jax.lax.complex(rivals.versine, rivals.sine)), facing(rivals.half)
+    line = jax.tree.map(lambda table: table[:, None], grid)
+    level = is_level(rivals, tube).any()
+
+    def wall(some_level: bool) -> Walls:
+        per_gap = 0.5 / half
+        rival = Rivals(half, per_gap / 2, turn.real, turn.imag)
+        reach, sagitta = meeting(line, rival, tube), line.sagitta_from(rival)
+        sunk, own_sunk = smaller(sagitta, line.radius - tube.apical_radius), line.sunk(tube)
+        slope = ((line.radius - sunk) * line.across(rival) - (line.radius - own_sunk) * line.y) * per_gap
+        # the feet's s z = (r - m) (r - g), less the common r^2
+        lower = line.radius * (own_sunk + line.sagitta - sunk - sagitta)
+        tilt = (lower + sunk * sagitta - own_sunk * line.sagitta) * per_gap
+        if some_level:
+            slope, tilt = towards_plane(rival, line, reach, (slope, tilt), tube)
+        slope = jnp.where(end, 0, slope)
+        per_square = 1 / line.radius**2
+        area = jnp.sqrt(1 + (slope**2 + tilt**2) * per_square)
+        edge = jnp.sqrt(1 + slope**2 * per_square)
+        tangent = jax.lax.complex(jnp.where(end, ends, reach), slope)
+        return Walls(tangent, *(jnp.where(end, 0, size) for size in (area, edge)))
+
+    return jax.lax.cond(level, lambda: wall(True), lambda: wall(False))
+
+
+def is_level(rivals: Rivals, tube: Tube) -> Array:
+    """Whether walls are as close to parallel to the axis as `see_others` lets them, but for rounding."""
+    return rivals.half**2 <= (0.5005 * LEVEL * tube.apical_radius) ** 2 * 2 * rivals.versine
+
+
+def towards_plane(
+    rival: Rivals, line: Grid, reach: Array, slopes: tuple[Array, Array], tube: Tube
+) -> tuple[Array, Array]:
+    """Slope and tilt, of walls that are level: all but the radial plane half way between two backbones.
+
+    There the reach is `half`, so the slope is that of the secant to it, and the tilt 0.
+    """
+    slope, tilt = slopes
+    z, y = line.radius - line.sagitta_from(rival), line.across(rival)
+    level = is_level(rival, tube)
+    aside = arctan((line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12))
+    slope = jnp.where(level & (jnp.abs(aside) > 1e-3), (reach - rival.half) / aside, slope)
+    return slope, jnp.where(level, 0, tilt)
+
+
+def strips(wall: Walls, tilt: Array, step: Array) -> Complex[Array, "strips cells"]:
+    """Between each line and the next, per cell: layer area / r + i x the integral of the walls' `tilt` / r.
+
+    Each side is the two walls' tangents up to where they meet. So three pieces, from 0 over the two meeting
+    points to 1, each with a width linear from end to end: its positive part is integrated. Two lines outside
+    the cell could only show a phantom of it and count nothing. One complex number, as two results would each
+    repeat the work.
+    """
+    step = step[:-1]
+    reach = wall.reach[:-1], wall.reach[1:]
+    rise = (wall.slope[:-1] * step[:, None], wall.slope[1:] * step[:, None])
+    turn = rise[0] - rise[1]
+    bend = jnp.clip((reach[1] - rise[1] - reach[0]) / jnp.where(turn == 0, 1e-30, turn), 0, 1)
+    early = bend[:, 0] <= bend[:, 1]
+
+    def tangents(pair: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        """Sums over both sides before any meeting point, between the two, and after both."""
+        (behind, ahead), (next_behind, next_ahead) = ((side[:, 0], side[:, 1]) for side in pair)
+        between = jnp.where(early, next_behind + ahead, behind + next_ahead)
+        return behind + ahead, between, next_behind + next_ahead
+
+    cuts = (0.0, jnp.minimum(bend[:, 0], bend[:, 1]), jnp.maximum(bend[:, 0], bend[:, 1]), 1.0)
+    bases, rises, tilts = (
+        tangents((reach[0], reach[1] - rise[1])),
+        tangents(rise),
+        tangents((tilt[:-1], tilt[1:])),
+    )
+    inside = (reach[0][:, 0] + reach[0][:, 1] > 0) | (reach[1][:, 0] + reach[1][:, 1] > 0)
+    layer_area = wall_size = jnp.zeros(())
+    for start, end, base, slope, leaning in zip(cuts, cuts[1:], bases, rises, tilts, strict=False):
+        first, last = base + slope * start, base + slope * end
+        spread = jnp.abs(first) + jnp.abs(last)
+        filled = (first + last + spread) / 2
+        share = (end - start) * filled / jnp.where(spread > 0, spread, 1)
+        layer_area += share * filled / 2
+        wall_size += share * leaning
+    live = jnp.where(inside, step, 0)
+    return jax.lax.complex(layer_area * live, wall_size * live)

@@ -1,0 +1,194 @@
+"""One annealing run in a folder: begun, saved as it goes, resumed to the bit, finished with figures."""
+
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from tqdm import tqdm
+
+from jaxtissue.runs import storage
+from jaxtissue.dynamics.annealer import SPAN
+from jaxtissue.system.files import (
+    check_folder,
+    open_own,
+)
+from jaxtissue.system.locks import alone
+from jaxtissue.dynamics.sweep_log import AcceptanceWatch
+from jaxtissue.runs.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
+from jaxtissue.dynamics.schedules import has_stalled
+from jaxtissue.runs.settings import Settings, now, other_bits
+from jaxtissue.topology.statistics import find_connectivity
+from jaxtissue.system.signals import Stop
+from jaxtissue.runs.reports import contact_summary, tabulate_cells, write_contacts
+
+KEPT_SWEEPS = (0, 1, 5, 25, 50, 100, 250, 500, 1000, 2500, 5000, 10_000)  # drawn in the figures
+CHECKPOINT_SECONDS = 2.0  # with sweeps shorter than this no more than 4 s are ever lost
+
+
+def run_annealing(folder: Path, settings: Settings, force: bool = False) -> int:
+    """Anneal from the start into `folder` and return the exit code, 128 + signal for a run that was stopped.
+
+    Raises `ValueError` for bad settings or backbones, and for a folder that holds files (unless forced), that
+    another run is at, or that can't be written; nothing is written then.
+    """
+    check_folder(folder, force)
+    initial, names = initial_backbones(settings)
+    precise = jnp.result_type(float) == jnp.float64
+    settings = replace(settings, cells=len(initial), x64=precise)
+    annealer = settings.annealer(settings.sweeps)
+    with Stop() as stop, alone(folder):
+        check_folder(folder, force)  # another run may just have ended there
+        return _go_on(begin(folder, settings, annealer, initial, names), stop)
+
+
+def resume_annealing(folder: Path, given: Mapping[str, Any], finish: bool = False) -> int:
+    """Take up the run in `folder` at its checkpoint and return the exit code, as `run_annealing`.
+
+    Of the `given` settings only `sweeps` may differ from those of the run, and only grow. To `finish` is to
+    leave what a run leaves, of the sweeps that were played; it can still be taken up afterwards. A finished
+    run is left as it is, unless it is to finish again. The run's own precision is used; a change of what else
+    decides bits is warned of. Raises `ValueError` for other settings or backbones, and for damaged files.
+    """
+    if not (folder / "checkpoint.npz").is_file():
+        raise ValueError(f"{folder} has no checkpoint to resume; leave --resume out to begin there")
+    if finish and "sweeps" in given:
+        raise ValueError("--finish plays no more sweeps; leave --sweeps out")
+    with Stop() as stop, alone(folder):
+        run = take_up(folder, given, finish)
+        if run is None:
+            say(f"{folder} is finished; nothing to do")
+            return 0
+        if changes := other_bits([run.manifest, *run.manifest["resumed"]][-1]):
+            say(f"warning: bits may not be those of a run in one piece: {changes}")
+        if finish and not run.manifest["finished"]:
+            run.cut()
+            _finish(run, ended=False)
+            return 0
+        run.note_resumption()
+        run.cut()
+        return _go_on(run, stop)
+
+
+def _go_on(run: Run, stop: Stop) -> int:
+    """Sweep until the run ends or is stopped, then finish or leave it; the exit code."""
+    compiled_before = run.manifest["compile_seconds"]
+    ended = _sweep(run, stop)
+    run.manifest["compile_seconds"] = compiled_before + run.annealer.compile_seconds
+    if ended:
+        _finish(run)
+        return 0
+    assert stop.signal is not None
+    run.write_manifest()
+    at = f"after sweep {run.state.sweep} of {run.settings.sweeps}"
+    say(f"stopped by {stop.signal.name} {at}; continue with: jaxtissue anneal --out {run.folder} --resume")
+    return 128 + stop.signal
+
+
+def _sweep(run: Run, stop: Stop) -> bool:
+    """Sweep, write each row, save every few seconds; whether the run came to its end.
+
+    Meanwhile, as the device computes, what draws the figures is imported.
+    """
+    Thread(target=import_module, args=("jaxtissue.runs.plots",), daemon=True).start()
+    path, settings = run.folder / "sweeps.csv", run.settings
+    energies, watch = storage.read_sweeps(path)["energy"].tolist(), AcceptanceWatch(settings.cells)
+
+    def ended() -> bool:
+        stalled = settings.patience > 0 and has_stalled(energies, settings.patience)
+        return stalled or run.state.sweep >= settings.sweeps
+
+    bar = tqdm(total=settings.sweeps, initial=run.state.sweep, desc="compiling", unit="sweep", disable=None)
+    with open_own(path, "a") as table, bar:
+        compiling, saved = True, time.monotonic()
+        while not (ended() or stop.signal):
+            last_chunk = settings.sweeps - run.state.sweep <= SPAN
+            if time.monotonic() - saved > CHECKPOINT_SECONDS or last_chunk:
+                os.fsync(table.fileno())
+                run.save()
+                saved = time.monotonic()
+            run.state, records, trail = run.annealer.advance(run.state)
+            for record, positions in zip(records, trail, strict=True):
+                run.rows.update(storage.write_sweep(table, record))
+                energies.append(record.energy)
+                if record.sweep in KEPT_SWEEPS:
+                    run.kept[record.sweep] = positions
+            if compiling:
+                compiling = False
+                told = f"acceptance {records[-1].acceptance:.2g} in sweep {records[-1].sweep}"
+                say(f"compiled in {run.annealer.compile_seconds:.1f} s; annealing, {told}")
+                bar.set_description("annealing", refresh=False)
+            if doubt := watch.doubt(records):
+                say(f"warning: {doubt}")
+            bar.update(len(records))
+            shown = {"energy": f"{records[-1].energy:.4g}", "acceptance": f"{records[-1].acceptance:.2f}"}
+            bar.set_postfix(shown | {"rounds": records[-1].rounds})
+        os.fsync(table.fileno())
+        run.save()
+    return ended()
+
+
+def _finish(run: Run, ended: bool = True) -> None:
+    """Write what a run leaves: tables, figures, the manifest, by which it is finished if it ended; print the
+    result."""
+    from jaxtissue.runs.plots import Tissue, plot_energy, plot_surfaces, plot_volumes, save_figure
+
+    say("measuring and drawing" if run.settings.no_contacts else "measuring, tracing contacts, drawing")
+    model, settings = run.annealer.model, run.settings
+    connectivity, place = None, run.state.positions
+    if not settings.no_contacts:
+        connectivity = find_connectivity(place, settings.tube, settings.minimum_contact)
+    columns, summary = tabulate_cells(place, model, settings.resolution, run.names, connectivity)
+    storage.write_backbones(run.folder / "backbones.csv", place, run.names)
+    storage.write_table(run.folder / "cells.csv", columns)
+    if connectivity is not None:
+        write_contacts(run.folder, connectivity)
+        summary |= contact_summary(connectivity)
+    shown = run.kept | {run.state.sweep: place}
+    ends = (0, run.state.sweep)
+    drawn = _a_few([sweep for sweep in shown if sweep < ends[1]])
+    volumes = {sweep: np.asarray(run.annealer.measure(shown[sweep]).volume) for sweep in drawn}
+    volumes[ends[1]] = columns["volume"]
+    measured = [ends[1]], [summary["energy"]]
+    sweeps = storage.read_sweeps(run.folder / "sweeps.csv")
+    tissues = [Tissue(f"sweep {sweep}", shown[sweep], volumes[sweep]) for sweep in ends]
+    figures = (
+        partial(plot_energy, sweeps, measured, "total, of the table of cells"),
+        partial(plot_volumes, list(volumes), list(volumes.values()), float(model.mean_volume)),
+        partial(plot_surfaces, model.tube, tissues),
+    )
+    for name, draw in zip(FIGURES, figures, strict=True):
+        save_figure(run.folder / name, draw)
+    energy = {"initial": sweeps["energy"][0], "final": sweeps["energy"][-1]}
+    energy |= {"final_measured": summary["energy"]}
+    news = {"energy": energy, "final": {"sweep": run.state.sweep} | summary}
+    run.write_manifest(**news, finished=now() if ended else None, files=run.checksums(*RESULTS))
+    _print_result(run)
+
+
+def _a_few(sweeps: list[int]) -> list[int]:
+    """At most six of the kept sweeps, the first and the last among them."""
+    picked = np.unique(np.linspace(0, len(sweeps) - 1, min(6, len(sweeps))).round().astype(int))
+    return [sweeps[i] for i in picked]
+
+
+def _print_result(run: Run) -> None:
+    energy, final = run.manifest["energy"], run.manifest["final"]
+    print(f"cells            {run.settings.cells}")
+    print(f"sweeps           {run.state.sweep}")
+    first, last = energy["initial"], energy["final"]
+    share = f" ({100 * last / first:.3g} %)" if first > 0 else ""
+    print(f"{f'energy, {run.settings.resolution}':17}{first:.6g} -> {last:.6g}{share}")
+    print(f"{'energy, measured':17}{energy['final_measured']:.6g}")
+    shown = ("separation", "covering_radius", "tightness", "neighbors", "transitions", "scutoid_fraction")
+    for name in shown:
+        if name in final:
+            print(f"{name:17}{final[name]:.6g}")
+    print(f"written to       {run.folder}")

@@ -1,0 +1,211 @@
+"""Tables of backbones as people have them: CSV with commas, semicolons or tabs, read whole or refused."""
+
+import csv
+import math
+import re
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxtissue.geometry.positions import Rows, as_positions
+from jaxtissue.runs.names import from_field
+from jaxtissue.geometry.tube import Tube
+
+SEPARATORS = ",;\t"
+LABELS = ("name", "cell", "label", "id", "")  # columns that may name cells, in this order
+INDEX = ("", "unnamed: 0")  # what tables of pandas call their index
+RADIANS, DEGREES = ("", "rad", "radian", "radians"), ("deg", "degree", "degrees", "°")
+_UNIT = re.compile(r"(.*?)\s*[(\[]\s*(.*?)\s*[)\]]")
+_NUMBER = re.compile(r"[+-]?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][+-]?[0-9]+)?")
+
+
+class BackboneTable(NamedTuple):
+    """Backbones as read: (axial, angle) in float64, angles in [0, 2 pi), and their names if they have any."""
+
+    positions: Float[np.ndarray, "n 2"]
+    names: tuple[str, ...] | None
+
+
+class _Table(NamedTuple):
+    """A table as it stands: the header, the names of its columns and their units, and rows by line."""
+
+    path: Path
+    header: str
+    names: list[str]
+    units: list[str]
+    lines: list[int]
+    rows: list[list[str]]
+    comma: bool  # decimal commas are read
+
+    def column(self, name: str) -> list[str]:
+        """The fields of a column."""
+        at = self.names.index(name)
+        return [row[at] for row in self.rows]
+
+
+def read_backbones(path: Path, tube: Tube, degrees: bool = False) -> BackboneTable:
+    """The backbones of a table with the columns `axial` and `angle`, and names of cells if it has any.
+
+    Fields are set apart by commas, semicolons or tabs; with the last two, numbers may have decimal commas.
+    Headers may be in any case and carry units in brackets, such as `axial (um)`. Angles are radians, or with
+    `degrees`, or in a column `angle (deg)`, degrees. They are wrapped, with a warning of those that look like
+    degrees. Names stand in the first of the columns `name`, `cell`, `label`, `id`, and one without a header,
+    that has another name for each cell. Other columns are left aside.
+
+    Raises `ValueError`, naming file, line, value and fix, for a file that is empty or not UTF-8, a quote that
+    is not closed or swallows rows, a missing column or one that is there twice, lines with fields too many,
+    what is no number, no cells, names that are empty or repeated, and positions that `as_positions` refuses.
+    """
+    table = _read_table(path)
+    numbers = [_numbers(table, name) for name in ("axial", "angle")]
+    positions = np.stack(numbers, axis=-1)
+    positions[:, 1] = _radians(table, positions[:, 1], degrees)
+    rows = Rows(f"{path} ", "line", table.lines)
+    place = as_positions(positions, tube, np.float64, rows)
+    as_positions(place, tube, rows=rows, sizes=False)  # none are one in the precision JAX works in
+    place[:, 1] = np.mod(place[:, 1], 2 * math.pi) % (2 * math.pi)
+    return BackboneTable(place, _find_names(table))
+
+
+def _read_table(path: Path) -> _Table:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            text = file.read()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is not UTF-8 text (byte {error.start}); save it as CSV in UTF-8") from error
+    except OSError as error:
+        raise ValueError(f"{path} can't be read ({error.strerror}); give a CSV file of backbones") from error
+    physical = re.split("\r\n|\r|\n", text)
+    first = next((line for line in physical if line.strip()), None)
+    if first is None:
+        raise ValueError(f"{path} is empty; begin it with axial,angle and give one line per backbone")
+    separator = max(SEPARATORS, key=first.count)  # the first of those that are as frequent
+    records = list(_records(path, physical, separator))
+    header = [field.strip() for field in records[0][1]]
+    brackets = [_UNIT.fullmatch(field) for field in header]
+    names = [
+        (unit[1] if unit else field).strip().lower() for unit, field in zip(brackets, header, strict=True)
+    ]
+    units = [unit[2].lower() if unit else "" for unit in brackets]
+    for name in ("axial", "angle"):
+        if name not in names:
+            found = f"{name!r} but {first.strip()!r}"
+            raise ValueError(f"{path} has no column {found}; begin it with axial,angle")
+    for name in names:
+        if name and names.count(name) > 1:
+            raise ValueError(f"{path} has the column {name!r} twice in {first.strip()!r}; leave one out")
+    if len(records) == 1:
+        raise ValueError(f"{path} has no cells; give one line axial,angle per backbone")
+    for line, row in records[1:]:
+        if any(row[len(names) :]):
+            raise ValueError(f"{path} line {line} has more than the {len(names)} columns; correct it")
+        row += [""] * (len(names) - len(row))
+    lines, rows = zip(*records[1:], strict=True)
+    table = _Table(path, first.strip(), names, units, list(lines), list(rows), separator != ",")
+    _refuse_swallowed(table, physical, separator)
+    return table
+
+
+def _records(path: Path, physical: list[str], separator: str) -> Iterator[tuple[int, list[str]]]:
+    """The records of a table that are not empty, each with the line it begins on."""
+    lines = (f"{line}\n" for line in physical)
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=separator != "\t", strict=True)
+    while True:
+        begin = reader.line_num + 1
+        try:
+            row = next(reader, None)
+        except csv.Error as error:
+            reason = f"a quote that is not closed or not alone in its field ({error})"
+            raise ValueError(f"{path} line {begin} has {reason}; correct it") from error
+        if row is None:
+            return
+        if row and row != [""]:
+            yield begin, row
+
+
+def _refuse_swallowed(table: _Table, physical: list[str], separator: str) -> None:
+    """Raise `ValueError` for quotes that run over lines which are rows themselves."""
+    places = [table.names.index(name) for name in ("axial", "angle")]
+    ends = [*table.lines[1:], len(physical) + 1]
+    for begin, end in zip(table.lines, ends, strict=True):
+        for line in range(begin + 1, end):
+            fields = physical[line - 1].split(separator)
+            numbers = [_parse(fields[at], table.comma) for at in places if at < len(fields)]
+            if len(numbers) == 2 and None not in numbers:
+                told = f"a quote that swallows line {line}, {physical[line - 1]!r}"
+                raise ValueError(f"{table.path} line {begin} has {told}; close it")
+
+
+def _parse(field: str, comma: bool) -> float | None:
+    """The number that a field holds, if it is one."""
+    text = field.strip()
+    if comma and text.count(",") == 1 and "." not in text:
+        text = text.replace(",", ".")
+    value = float(text) if _NUMBER.fullmatch(text) else math.nan
+    return value if math.isfinite(value) else None
+
+
+def _numbers(table: _Table, name: str) -> list[float]:
+    fields, marks = table.column(name), ("," * table.comma, ".")
+    if all(any(mark and mark in field for field in fields) for mark in marks):
+        told = f"{name} has decimal commas and points"
+        raise ValueError(f"{table.path}: {told}; write all numbers alike")
+    values = []
+    for line, field in zip(table.lines, fields, strict=True):
+        value = _parse(field, table.comma)
+        if value is None:
+            told = f"{name}={field!r} is not a finite number"
+            raise ValueError(f"{table.path} line {line}: {told}; correct it")
+        values.append(value)
+    return values
+
+
+def _radians(table: _Table, angle: Float[np.ndarray, " n"], degrees: bool) -> Float[np.ndarray, " n"]:
+    """Angles in radians, by the header's unit or as told; a doubt where they look like degrees."""
+    unit = table.units[table.names.index("angle")]
+    if unit not in RADIANS + DEGREES or (degrees and unit in RADIANS[1:]):
+        asked = "--degrees reads" if degrees else "angles are read in"
+        told = f"{table.path} has angles in {unit!r} by its header {table.header!r}"
+        raise ValueError(f"{told}, {asked} {'degrees' if degrees else 'radians or degrees'}; correct one")
+    if degrees or unit in DEGREES:
+        return np.radians(angle)
+    largest = np.abs(angle).max()
+    whole = largest > 2 * math.pi and (angle == np.round(angle)).all()
+    if largest > 4 * math.pi or whole:
+        told = f"{table.path} has angles up to {largest:g}: they are taken as radians"
+        warnings.warn(f"{told}; add --degrees if they are degrees", stacklevel=3)
+    return angle
+
+
+def _find_names(table: _Table) -> tuple[str, ...] | None:
+    """The names of the cells by the first column of LABELS that tells them apart."""
+    doubt = ""
+    for label in LABELS:
+        column = label if label else next((name for name in INDEX if name == table.names[0]), None)
+        if column is None or column not in table.names:
+            continue
+        names = [from_field(field.strip()) for field in table.column(column)]
+        wrong = _repeated(table, column, names)
+        if not wrong:
+            return tuple(names)
+        if label in ("name", "cell"):
+            doubt = doubt or wrong
+    if doubt:
+        raise ValueError(doubt)
+    return None
+
+
+def _repeated(table: _Table, column: str, names: list[str]) -> str:
+    """What is wrong with names that are empty or not each another; nothing if they are good."""
+    seen: dict[str, int] = {}
+    for line, name in zip(table.lines, names, strict=True):
+        if not name:
+            return f"{table.path} line {line}: {column} is empty; name the cell or leave the column out"
+        if name in seen:
+            return f"{table.path} line {line}: {column}={name!r} is also on line {seen[name]}; rename one"
+        seen[name] = line
+    return ""

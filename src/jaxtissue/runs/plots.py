@@ -1,0 +1,192 @@
+"""Figures of a run; each function returns (figure, axes) and leaves matplotlib's global state alone."""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import ArrayLike, Float, Int
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+
+from jaxtissue.system.files import replacing
+from jaxtissue.diagram.point_location import label_points
+from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.geometry.tube import Tube
+
+# Okabe and Ito's colors, which color-blind readers tell apart.
+_BLUE, _ORANGE, _GREEN = "#0072B2", "#D55E00", "#009E73"
+_WALL = (0.15, 0.15, 0.15, 1.0)
+# Without the darkest ends, on which walls and dots would not show.
+_SMALL_TO_LARGE = ListedColormap(mpl.colormaps["RdBu_r"](np.linspace(0.12, 0.88, 256)))
+_PIXELS = (1000, 480)  # of an unrolled surface, along the axis and around it
+
+
+class Tissue(NamedTuple):
+    """A tissue to draw: what it is called, its (axial, angle) positions and the volumes of its cells."""
+
+    title: str
+    positions: Float[ArrayLike, "n 2"]
+    volume: Float[ArrayLike, "n"]
+
+
+def save_figure(path: Path, draw: Callable[[], tuple[Figure, Any]]) -> None:
+    """Write what `draw` draws as PNG; where that fails leave it out with a warning, as results do without."""
+    image = BytesIO()
+    try:
+        with style.context("default"):  # whatever the user's matplotlibrc says
+            figure, _ = draw()
+            figure.set_dpi(150)
+            # `savefig` would lay out and draw everything twice
+            if layout := figure.get_layout_engine():
+                layout.execute(figure)
+                figure.set_layout_engine("none")
+            FigureCanvasAgg(figure).print_png(image)
+    except Exception as error:
+        path.unlink(missing_ok=True)
+        warnings.warn(f"{path.name} can't be drawn ({error}); it is left out", stacklevel=2)
+        return
+    with replacing(path, "wb") as file:
+        file.write(image.getvalue())
+
+
+def plot_energy(
+    sweeps: Mapping[str, Float[ArrayLike, "rows"]],
+    checked: tuple[Sequence[int], Sequence[float]] | None = None,
+    checked_label: str = "total, measured finely",
+) -> tuple[Figure, Axes]:
+    """Energy of the tissue and its two terms over the sweeps (paper, Fig. 10), on a logarithmic axis.
+
+    `sweeps` has the columns of sweeps.csv; `checked` gives sweeps and energies measured in another way.
+    """
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    axes = figure.subplots()
+    number = np.asarray(sweeps["sweep"])
+    styles = [
+        ("energy", "total", _BLUE, "-"),
+        ("volume_energy", "volume term", _ORANGE, "--"),
+        ("area_energy", "area term", _GREEN, "-."),
+    ]
+    for column, label, color, dashes in styles:
+        axes.plot(number, np.asarray(sweeps[column]), dashes, color=color, label=label)
+    if checked is not None:
+        axes.plot(*checked, "o", color="black", markerfacecolor="white", label=checked_label)
+    if np.asarray(sweeps["energy"]).min() > 0:
+        axes.set_yscale("log", nonpositive="mask")
+    axes.set(xlabel="sweep", ylabel="energy (tube units)", title="Energy of the tissue")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+    axes.grid(which="both", color="0.9")
+    axes.legend()
+    return figure, axes
+
+
+def plot_volumes(
+    sweeps: Sequence[int], volumes: Sequence[Float[ArrayLike, "n"]], mean_volume: float
+) -> tuple[Figure, Axes]:
+    """The cells' volumes after some sweeps, each sorted, against the mean volume (paper, Fig. 11)."""
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    axes = figure.subplots()
+    colors = mpl.colormaps["viridis"](np.linspace(0, 0.9, len(sweeps)))
+    for sweep, volume, color in zip(sweeps, volumes, colors, strict=True):
+        ordered = np.sort(np.asarray(volume))
+        marker = "o" if len(ordered) < 2 else ""
+        axes.plot(np.arange(1, len(ordered) + 1), ordered, marker=marker, color=color, label=f"sweep {sweep}")
+    axes.axhline(mean_volume, color="black", linestyle=":", label=f"mean {mean_volume:.3g}")
+    axes.set(xlabel="cells, from the smallest to the largest", ylabel="cell volume (tube units³)")
+    axes.set_title("Volumes of the cells")
+    axes.set_ylim(bottom=0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+    axes.grid(color="0.9")
+    axes.legend()
+    return figure, axes
+
+
+def plot_grid(table: Mapping[str, ArrayLike], axes: Sequence[str]) -> tuple[Figure, Axes]:
+    """Energy per cell of the runs of a grid over the first of its `axes`, a line for each of the second.
+
+    `table` has the columns of table.csv. Dots are runs; a line goes through their means. Runs that differ in
+    further axes, such as the seed, are taken together.
+    """
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    panel = figure.subplots()
+    varied = [name for name in axes if name != "seed"] or ["seed"]
+    across, energy = np.asarray(table[varied[0]]), np.asarray(table["energy"]) / np.asarray(table["cells"])
+    kinds = np.asarray(table[varied[1]]) if len(varied) > 1 else np.zeros(len(across))
+    colors = mpl.colormaps["viridis"](np.linspace(0, 0.9, len(np.unique(kinds))))
+    for kind, color in zip(np.unique(kinds), colors, strict=True):
+        own = kinds == kind
+        label = f"{varied[1].replace('_', ' ')} {kind:g}" if len(varied) > 1 else None
+        places = np.unique(across[own])
+        means = [energy[own & (across == place)].mean() for place in places]
+        panel.plot(places, means, color=color, label=label)
+        panel.plot(across[own], energy[own], ".", color=color)
+    panel.set(xlabel=varied[0].replace("_", " "), ylabel="energy per cell (tube units)")
+    panel.set_title("Energy after the last sweep")
+    panel.grid(color="0.9")
+    if len(varied) > 1:
+        panel.legend()
+    return figure, panel
+
+
+def plot_surfaces(tube: Tube, tissues: Sequence[Tissue]) -> tuple[Figure, np.ndarray]:
+    """The unrolled basal (top) and apical (bottom) surface of some tissues, one column each (paper, Fig. 9).
+
+    A cell's color is its volume / the tissue's mean volume; lines are the walls, dots the backbones' ends.
+    The axes come as an array [2, tissues].
+    """
+    figure = Figure(figsize=(1 + 6 * len(tissues), 7), layout="constrained")
+    axes = figure.subplots(2, len(tissues), sharex=True, sharey=True, squeeze=False)
+    shades = ScalarMappable(Normalize(0, 2), _SMALL_TO_LARGE)
+    for column, tissue in zip(axes.T, tissues, strict=True):
+        relative = np.asarray(tissue.volume) / np.mean(np.asarray(tissue.volume))
+        for surface, panel in zip(("basal", "apical"), column, strict=True):
+            labels = label_surface(tissue.positions, tube, surface, _PIXELS)
+            _draw_map(panel, labels, shades.to_rgba(relative), float(tube.length))
+            axial, angle = np.asarray(tissue.positions, float).T
+            panel.plot(axial, np.degrees(angle) % 360, ".", color="black", markersize=2)
+            panel.set_title(f"{surface} surface, {tissue.title}")
+    for panel in axes[:, 0]:
+        panel.set(ylabel="angle (degrees)", yticks=range(0, 361, 60))
+    for panel in axes[1]:
+        panel.set_xlabel("axial position (tube units)")
+    dot = Line2D([], [], linestyle="", marker=".", color="black", label="end of a backbone")
+    figure.legend(
+        handles=[dot, Line2D([], [], color=_WALL, label="wall")], loc="outside lower center", ncols=2
+    )
+    figure.colorbar(shades, ax=axes, label="cell volume / mean volume", extend="max", shrink=0.8)
+    return figure, axes
+
+
+@usual_modes()
+def label_surface(
+    positions: Float[ArrayLike, "n 2"], tube: Tube, surface: str, shape: tuple[int, int]
+) -> Int[np.ndarray, "axial angular"]:
+    """The cell that holds the center of each pixel of the unrolled `apical` or `basal` surface.
+
+    Pixel (i, j) is centered at x = (i + 1/2) L / shape[0] and the angle (j + 1/2) 2 pi / shape[1].
+    """
+    axial = (np.arange(shape[0]) + 0.5) / shape[0] * float(tube.length)
+    angle = (np.arange(shape[1]) + 0.5) / shape[1] * 2 * np.pi
+    radius = float(tube.apical_radius if surface == "apical" else tube.basal_radius)
+    x, turn = np.meshgrid(axial, angle, indexing="ij")
+    points = np.stack([x, radius * np.cos(turn), radius * np.sin(turn)], axis=-1)
+    return label_points(points, positions, tube).reshape(shape)
+
+
+def _draw_map(
+    panel: Axes, labels: Int[np.ndarray, "axial angular"], colors: Float[np.ndarray, "n 4"], length: float
+) -> None:
+    image = colors[labels]
+    wall = labels != np.roll(labels, -1, axis=1)
+    wall[:-1] |= labels[:-1] != labels[1:]
+    image[wall] = _WALL
+    panel.imshow(image.swapaxes(0, 1), origin="lower", extent=(0, length, 0, 360), aspect="auto")

@@ -1,0 +1,147 @@
+"""A measured tissue as tables: its cells, its summary, and the errors of the presets."""
+
+import math
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import networkx as nx
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from jaxtissue.runs import storage
+from jaxtissue.tissue.measurer import as_limits, doubts, measure_tissue
+from jaxtissue.energy import Model, require_finite, tissue_energies
+from jaxtissue.diagram.exact import exact_cells
+from jaxtissue.system.files import replacing
+from jaxtissue.measurement.quadrature import PRESETS, Resolution
+from jaxtissue.runs.names import printable
+from jaxtissue.tissue.refinement import plain
+from jaxtissue.diagram.spread import covering_radius, separation
+from jaxtissue.topology.statistics import Connectivity, summarize_connectivity, tabulate_connectivity, tissue_graph
+from jaxtissue.geometry.tube import Tube
+
+Result = TypeVar("Result")
+_SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimeter", "basal_perimeter")
+_ERRORS = ("volume_error", "lateral_area_error")
+CONTACT_TABLES = ("contacts.csv", "transitions.csv", "graph.graphml")
+
+
+def tabulate_cells(
+    positions: Float[ArrayLike, "n 2"],
+    model: Model,
+    resolution: Resolution | str,
+    names: Sequence[str] | None = None,
+    connectivity: Connectivity | None = None,
+    tolerance: float | None = None,
+) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """One row per cell, and the figures of the whole tissue; lengths, areas, volumes in units of the tube's.
+
+    The summary's separation of a single cell is infinite; its `overflow` is the relative error of an exact
+    tiling sum, 0 where every cell lies within the lines it was measured on; its `largest_volume_error` and
+    `largest_lateral_area_error` are fractions of the mean cell, as the `tolerance` is. Connectivity adds its
+    columns and the exact `is_end`; without it, that is what the lines see.
+    """
+    axial, angle = np.asarray(positions).T
+    positions = model.tube.reflect(jnp.asarray(positions))
+    place = np.stack([axial, angle], axis=-1)
+    if connectivity is not None and connectivity.sizes is not None:
+        cells, overflow = plain(connectivity.sizes._asdict(), jnp.result_type(float)), 0.0
+        for message in doubts(cells, model.tube, as_limits(tolerance)):
+            warnings.warn(message, stacklevel=2)
+    else:
+        cells, overflow = measure_tissue(place, model.tube, resolution, tolerance=tolerance)
+    energy = np.asarray(tissue_energies(cells, model))
+    require_finite(energy, model)
+    columns = {"cell": np.arange(len(axial)), "axial": axial, "angle": angle}
+    columns |= {name: np.asarray(getattr(cells, name)) for name in (*_SIZES, *_ERRORS)}
+    columns |= {"energy": energy, "is_end": np.asarray(cells.touches_end)}
+    if connectivity is not None:
+        columns |= {"is_end": connectivity.is_end} | tabulate_connectivity(connectivity)
+    columns |= {"name": np.array(names, dtype=object)} if names else {}
+    apart, covering = float(separation(positions, model.tube)), float(covering_radius(positions, model.tube))
+    summary = {
+        "total_volume": columns["volume"].sum(dtype=float),
+        "total_lateral_area": columns["lateral_area"].sum(dtype=float),
+        "energy": energy.sum(dtype=float),
+        "separation": apart,
+        "covering_radius": covering,
+        "tightness": covering / apart,
+        "overflow": float(overflow),
+    }
+    # as fractions of the mean cell
+    for size, error in zip(_SIZES, _ERRORS, strict=False):
+        mean = columns[size].mean(dtype=float)
+        summary[f"largest_{error}"] = float(columns[error].max() / mean) if mean > 0 else 0.0
+    return columns, summary
+
+
+def contact_summary(connectivity: Connectivity) -> dict[str, Any]:
+    """The means over all cells and, under `inner`, over those that touch no end, with the numbers of cells.
+
+    `open_ends` counts edges of the diagram that could not be followed: parts may be missing then.
+    """
+    everywhere, inner = (summarize_connectivity(connectivity, only) for only in (False, True))
+    summary = {"cells": len(connectivity.is_end)} | everywhere
+    summary |= {"inner": {"cells": int((~connectivity.is_end).sum())} | inner}
+    return summary | {"open_ends": connectivity.transitions.open_ends}
+
+
+def write_contacts(
+    folder: Path, connectivity: Connectivity, columns: Mapping[str, np.ndarray] | None = None
+) -> None:
+    """Write contacts.csv and transitions.csv; with the columns of the cells also graph.graphml."""
+    contacts, transitions = connectivity.contacts, connectivity.transitions
+    first, second = contacts.pairs.T
+    names = ("area", "apical_length", "basal_length", "kind", "pieces")
+    table = {"cell_a": first, "cell_b": second} | {name: getattr(contacts, name) for name in names}
+    storage.write_table(folder / "contacts.csv", table)
+    points = dict(zip("xyz", transitions.points.T, strict=True))
+    cells = zip(("cell_a", "cell_b", "cell_c", "cell_d"), transitions.cells.T, strict=True)
+    storage.write_table(folder / "transitions.csv", points | dict(cells))
+    if columns is not None:
+        with replacing(folder / "graph.graphml", "wb") as file:
+            nx.write_graphml(tissue_graph(connectivity, _printable(columns)), file)
+
+
+def _printable(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The columns with such names of cells as XML takes."""
+    names = [printable(name) for name in columns["name"]] if "name" in columns else None
+    return dict(columns) | ({"name": np.array(names)} if names else {})
+
+
+def compare_presets(
+    positions: Float[ArrayLike, "n 2"], tube: Tube, samples: int
+) -> tuple[dict[str, np.ndarray], float]:
+    """Errors and warm times of the presets against the exact path, a row each, and the exact path's seconds.
+
+    Errors of V and A are relative to the mean cell: rms and largest over the cells; that of the total A is
+    signed. They are not numbers where there is no lateral area.
+    """
+    exact, exact_seconds = _timed(lambda: exact_cells(np.asarray(positions), tube, samples))
+    positions, rows = tube.reflect(jnp.asarray(positions)), []
+    for name, resolution in PRESETS.items():
+        jax.block_until_ready(measure_tissue(positions, tube, resolution, refine=False))
+        (cells, _), seconds = _timed(lambda at=resolution: measure_tissue(positions, tube, at, refine=False))
+        volume = _relative(cells.volume, exact.volume)
+        area = _relative(cells.lateral_area, exact.lateral_area)
+        errors = [how for error in (volume, area) for how in (math.sqrt((error**2).mean()), abs(error).max())]
+        rows.append((name, *errors, area.mean(), seconds))
+    names = ("preset", "volume_rms", "volume_max", "area_rms", "area_max", "area_total", "seconds")
+    columns = map(np.array, zip(*rows, strict=True))
+    return dict(zip(names, columns, strict=True)), exact_seconds
+
+
+def _relative(measured: Float[Array, "n"], exact: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    mean = exact.mean()
+    return (np.asarray(measured, float) - exact) / (mean if mean > 0 else math.nan)
+
+
+def _timed(work: Callable[[], Result]) -> tuple[Result, float]:
+    begun = time.perf_counter()
+    result = jax.block_until_ready(work())
+    return result, time.perf_counter() - begun

@@ -1,0 +1,141 @@
+"""A run's files: what it leaves at its beginning, and what is read when it is taken up again."""
+
+import hashlib
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from tqdm import tqdm
+
+from jaxtissue.runs import storage
+from jaxtissue.dynamics.annealer import Annealer, AnnealState, renews_at
+from jaxtissue.system.files import (
+    check_files,
+    checksum,
+    make_folder,
+    open_own,
+    read_sealed,
+    write_sealed,
+)
+from jaxtissue.dynamics.memory import tell_memory
+from jaxtissue.compilation.modes import random_key
+from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
+from jaxtissue.runs.settings import FORMAT, Settings, provenance, saved_settings
+from jaxtissue.runs.reports import CONTACT_TABLES
+
+FIGURES = ("energy.png", "volumes.png", "surfaces.png")
+INITIAL = "initial_backbones.csv"
+TABLES = (INITIAL, "backbones.csv", "cells.csv", "sweeps.csv")
+RESULTS = (*TABLES, *CONTACT_TABLES, *FIGURES)
+FILES = ("checkpoint.npz", "manifest.json", *RESULTS)
+NEEDED = ("arguments", "cooling_sweeps", "compile_seconds", "files", "finished", "resumed")  # of a manifest
+AGAIN = "start again with --force"
+
+
+@dataclass
+class Run:
+    """A run under way: what it does, where it stands, and its manifest so far."""
+
+    folder: Path
+    settings: Settings
+    annealer: Annealer
+    state: AnnealState
+    kept: dict[int, np.ndarray]  # positions after some sweeps, for the figures
+    names: tuple[str, ...] | None
+    manifest: dict[str, Any]
+    rows: Any  # running checksum of sweeps.csv
+
+    def save(self) -> None:
+        """Write the checkpoint; the rows of sweeps.csv up to it must be on the disk before.
+
+        Only between spans of sweeps, where a longer run would be too: the odd sweeps at a run's end are
+        played again if it goes on.
+        """
+        if not renews_at(self.state.sweep):
+            return
+        kept = np.array(list(self.kept)), np.stack(list(self.kept.values()))
+        checkpoint = storage.Checkpoint(self.state, *kept, self.rows.hexdigest())
+        storage.save_checkpoint(self.folder / "checkpoint.npz", checkpoint)
+
+    def write_manifest(self, **news: Any) -> None:
+        """Write the manifest with what is new."""
+        self.manifest |= news
+        write_sealed(self.folder / "manifest.json", self.manifest)
+
+    def checksums(self, *names: str) -> dict[str, str]:
+        """Checksums of those of the files that are there."""
+        return {name: checksum(self.folder / name) for name in names if (self.folder / name).is_file()}
+
+    def cut(self) -> None:
+        """Remove the rows of sweeps.csv that are not in the checkpoint."""
+        storage.cut_sweeps(self.folder / "sweeps.csv", self.state.sweep, self.rows.hexdigest())
+
+    def note_resumption(self) -> None:
+        """Write into the manifest that the run goes on, and with what."""
+        again = {"at_sweep": self.state.sweep} | provenance()
+        news = {"arguments": asdict(self.settings), "resumed": [*self.manifest["resumed"], again]}
+        self.write_manifest(**news, finished=None, files=self.checksums(INITIAL))
+
+
+def initial_backbones(settings: Settings) -> BackboneTable:
+    """The backbones that a run begins with, and their names."""
+    if settings.backbones:
+        return read_backbones(Path(settings.backbones), settings.tube, settings.degrees)
+    key = random_key(settings.seed)
+    return BackboneTable(np.asarray(settings.tube.random_positions(key, settings.cells)), None)
+
+
+def begin(
+    folder: Path, settings: Settings, annealer: Annealer, initial: np.ndarray, names: tuple[str, ...] | None
+) -> Run:
+    """A run before its first sweep, with its first checkpoint on the disk."""
+    started = provenance()
+    say(tell_memory(len(initial), settings.tube, settings.resolution, 8 if settings.x64 else 4))
+    say(f"annealing {len(initial)} cells in {folder}: compiling")
+    state = annealer.start(settings.tube.reflect(jnp.asarray(initial)))
+    record = annealer.record(state)
+    make_folder(folder, FILES)
+    storage.write_backbones(folder / INITIAL, initial, names)
+    manifest = {"format": FORMAT, "arguments": asdict(settings), "cooling_sweeps": settings.sweeps} | started
+    manifest |= {"finished": None, "compile_seconds": 0.0, "resumed": []}
+    run = Run(folder, settings, annealer, state, {0: state.positions}, names, manifest, hashlib.sha256())
+    run.write_manifest(files=run.checksums(INITIAL))
+    with open_own(folder / "sweeps.csv", "w") as table:
+        run.rows.update(storage.write_sweep(table, record))
+        os.fsync(table.fileno())
+    run.save()
+    return run
+
+
+def take_up(folder: Path, given: Mapping[str, Any], finish: bool) -> Run | None:
+    """The run at its checkpoint; none where it is finished and not to be finished again."""
+    manifest = read_sealed(folder / "manifest.json", AGAIN)
+    settings = saved_settings(manifest, given, str(folder))
+    if missing := [name for name in NEEDED if name not in manifest]:
+        raise ValueError(f"{folder / 'manifest.json'} is damaged (it lacks {missing[0]!r}); {AGAIN}")
+    jax.config.update("jax_enable_x64", settings.x64)
+    check_files(folder, {INITIAL: manifest["files"][INITIAL]}, AGAIN)
+    initial = read_backbones(folder / INITIAL, settings.tube)
+    if given.get("backbones"):
+        same = read_backbones(Path(given["backbones"]), settings.tube, settings.degrees)
+        if same.names != initial.names or not np.array_equal(same.positions, initial.positions):
+            raise ValueError(f"--backbones {given['backbones']} differs from the run to resume; leave it out")
+    checkpoint = storage.load_checkpoint(folder / "checkpoint.npz")
+    rows = storage.cut_sweeps(folder / "sweeps.csv", checkpoint.state.sweep, checkpoint.rows, keep=True)
+    if manifest["finished"] and settings.sweeps == manifest["arguments"]["sweeps"] and not finish:
+        check_files(folder, manifest["files"], "write it anew with --resume --finish")
+        return None
+    kept = dict(zip(checkpoint.kept_sweeps.tolist(), checkpoint.kept_positions, strict=True))
+    annealer = settings.annealer(manifest["cooling_sweeps"])
+    return Run(folder, settings, annealer, checkpoint.state, kept, initial.names, manifest, rows)
+
+
+def say(text: str) -> None:
+    """A line for those who watch, past the bar of progress."""
+    tqdm.write(text, file=sys.stderr)

@@ -1,0 +1,154 @@
+"""The arguments of an annealing run, as they are given, kept in its folder and held to when it is resumed."""
+
+import importlib.metadata
+import os
+import platform
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxtissue.dynamics.annealer import Annealer
+from jaxtissue.energy import tube_model
+from jaxtissue.compilation.fusion import options
+from jaxtissue.dynamics.schedules import constant_schedule, geometric_schedule
+from jaxtissue.geometry.tube import Tube
+
+FORMAT = 1  # of what a folder keeps; raised when other code would play other sweeps, or read it otherwise
+DECISIVE = ("jaxtissue", "jax", "jaxlib", "numpy")  # packages whose versions may decide bits
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The arguments of a run; the paper's values (section 4.3) are the defaults.
+
+    `backbones` is a CSV file to start from, its angles in `degrees` or radians; else `cells` random ones are
+    made from `seed`. A `final_temperature` makes the cooling geometric. The run ends early when the energy
+    has not fallen for `patience` sweeps (0: never). Walls below `minimum_contact`, a fraction of the mean
+    wall, are no contacts. `relative` constants and temperatures are those of `tube_model`.
+    """
+
+    length: float = 100.0
+    apical_radius: float = 1.0
+    basal_radius: float = 10.0
+    backbones: str | None = None
+    degrees: bool = False
+    cells: int = 500
+    seed: int = 0
+    sweeps: int = 100
+    temperature: float = 2.0
+    final_temperature: float | None = None
+    modulus: float = 1.0
+    tension: float = 0.4
+    relative: bool = False
+    algorithm: str = "is-mh"
+    resolution: str = "draft"
+    patience: int = 0
+    minimum_contact: float = 0.0
+    no_contacts: bool = False
+    x64: bool = False
+
+    @property
+    def tube(self) -> Tube:
+        """The tube. Raises `ValueError` for sizes that make none."""
+        return Tube(self.length, self.apical_radius, self.basal_radius)
+
+    def temperatures(self, cooling_sweeps: int) -> Float[np.ndarray, "sweeps"]:
+        """Temperature of each sweep: constant, or falling over the first `cooling_sweeps` and then held."""
+        if self.final_temperature is None:
+            return np.asarray(constant_schedule(self.temperature, self.sweeps))
+        cooling = np.asarray(geometric_schedule(self.temperature, self.final_temperature, cooling_sweeps))
+        held = np.asarray(constant_schedule(self.final_temperature, self.sweeps - cooling_sweeps))
+        return np.concatenate([cooling, held])
+
+    def annealer(self, cooling_sweeps: int) -> Annealer:
+        """What advances the run. Raises `ValueError` for settings that make none."""
+        model = tube_model(self.tube, self.cells, self.modulus, self.tension, relative=self.relative)
+        temperatures = self.temperatures(cooling_sweeps)
+        return Annealer(model, self.resolution, self.algorithm, self.seed, temperatures)
+
+
+def saved_settings(manifest: Mapping[str, Any], given: Mapping[str, Any], place: str) -> Settings:
+    """The settings in a run's manifest; of the `given` ones only `sweeps` may differ, and only grow.
+
+    Raises `ValueError` for any other change, naming it, and for a run in `place` that other code began, whose
+    sweeps this code would not continue.
+    """
+    if manifest.get("format") != FORMAT:
+        formats = f"format {manifest.get('format')}, this is {FORMAT}"
+        told = f"the run in {place} was begun by another version of jaxtissue ({formats})"
+        raise ValueError(f"{told}; start again with --force")
+    try:
+        saved = Settings(**manifest["arguments"])
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"the manifest in {place} is damaged ({error}); start again with --force") from error
+    if given.get("backbones") and not saved.backbones:
+        raise ValueError("--backbones is new: the run to resume began with random cells; leave it out")
+    for name, value in given.items():
+        before = getattr(saved, name)
+        if name == "sweeps" and value < before:
+            raise ValueError(f"--sweeps {value} is below the {before} of the run to resume; it may only grow")
+        if name not in ("sweeps", "backbones") and value != before:
+            option = "--" + name.replace("_", "-")
+            raise ValueError(f"{option} {value} differs from {before} of the run to resume; leave it out")
+    return replace(saved, sweeps=given.get("sweeps", saved.sweeps))
+
+
+def versions() -> dict[str, str]:
+    """The versions of Python and of the packages that results depend on."""
+    packages = (*DECISIVE, "scipy")
+    return {"python": platform.python_version()} | {name: version_of(name) or "unknown" for name in packages}
+
+
+def version_of(package: str) -> str | None:
+    """The version of an installed package, None where it is not installed."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def provenance() -> dict[str, Any]:
+    """When and with what something is computed."""
+    device = jax.devices()[0]
+    return {
+        "started": now(),
+        "versions": versions(),
+        "platform": platform.platform(),
+        "device": str(device),
+        "dtype": str(jnp.result_type(float)),
+        "device_kind": device.device_kind,
+        "processor": processor(),
+        "compiler": options() | {"XLA_FLAGS": os.environ.get("XLA_FLAGS", "")},
+    }
+
+
+def processor() -> str:
+    """Name and widest vectors of the processor, as far as the system tells: bits depend on these."""
+    info = Path("/proc/cpuinfo")
+    told = info.read_text(errors="replace") if info.is_file() else ""
+    name = re.search(r"^model name\s*: (.*)", told, re.MULTILINE)
+    vectors = next((kind for kind in ("avx512f", "avx2", "avx") if re.search(rf"\b{kind}\b", told)), "")
+    return ", ".join(filter(None, (name[1] if name else platform.processor(), vectors)))
+
+
+def other_bits(before: Mapping[str, Any]) -> str:
+    """What decides the bits of a result and is not now as it was `before`, in words; empty where all is."""
+    present = provenance()
+    kinds = {"device_kind": "device", "processor": "processor", "compiler": "compiler"}
+    pairs = [(told, before.get(name), present[name]) for name, told in kinds.items()]
+    pairs += [(name, before.get("versions", {}).get(name), present["versions"][name]) for name in DECISIVE]
+    changes = [f"{name} {then} and now {here}" for name, then, here in pairs if then != here]
+    return "; ".join(changes)
+
+
+def now() -> str:
+    """The time, in UTC, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

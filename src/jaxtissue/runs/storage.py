@@ -1,0 +1,102 @@
+"""Tables of backbones, cells and sweeps as CSV, and checkpoints. Floats read back exactly."""
+
+import csv
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import ArrayLike, Float, Int
+
+from jaxtissue.dynamics.annealer import AnnealState
+from jaxtissue.system.files import load_arrays, open_own, replacing, save_arrays
+from jaxtissue.runs.names import to_field
+from jaxtissue.dynamics.sweep_log import SweepRecord
+
+
+class Checkpoint(NamedTuple):
+    """What a run needs to go on, the positions it keeps for its figures, the checksum of its rows so far."""
+
+    state: AnnealState
+    kept_sweeps: Int[np.ndarray, "kept"]
+    kept_positions: Float[np.ndarray, "kept n 2"]
+    rows: str
+
+
+def write_backbones(
+    path: Path, positions: Float[ArrayLike, "n 2"], names: Sequence[str] | None = None
+) -> None:
+    """Write (axial, angle) positions, and names as `cell`, as `reading.read_backbones` reads them."""
+    axial, angle = np.asarray(positions).T
+    columns = {"axial": axial, "angle": angle}
+    write_table(path, columns | ({"cell": np.array(names, dtype=object)} if names else {}))
+
+
+def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns of equal length as CSV, floats with all their digits, texts as `to_field` has them."""
+    with replacing(path, "w") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        values = ([_field(value) for value in np.asarray(column).tolist()] for column in columns.values())
+        writer.writerows(zip(*values, strict=True))
+
+
+def _field(value: Any) -> Any:
+    return to_field(value) if isinstance(value, str) else value
+
+
+def write_sweep(file: IO[str], record: SweepRecord) -> bytes:
+    """Add the row of a sweep to an open table of sweeps, and return it; sweep 0 brings the header."""
+    rows = [record._fields] if record.sweep == 0 else []
+    rows.append(tuple(str(np.asarray(value).item()) for value in record))
+    text = "".join(",".join(row) + "\n" for row in rows)
+    file.write(text)
+    file.flush()
+    return text.encode()
+
+
+def read_sweeps(path: Path) -> dict[str, Float[np.ndarray, "rows"]]:
+    """The columns of a table of sweeps, by name."""
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    return dict(zip(header, np.array(rows, float).reshape(-1, len(header)).T, strict=True))
+
+
+def cut_sweeps(path: Path, last: int, checksum: str, keep: bool = False) -> "hashlib._Hash":
+    """Remove the rows after sweep `last`, unless told to keep them; the running checksum of those before.
+
+    Raises `ValueError`, and removes nothing, for a table that does not reach it or of another checksum.
+    """
+    rows, remedy = hashlib.sha256(), "start again with --force"
+    try:
+        with open_own(path, "r+b") as file:
+            line = b""
+            for _ in range(last + 2):
+                line = file.readline()
+                rows.update(line)
+            if not line.endswith(b"\n"):
+                raise ValueError(f"{path} is damaged (it has no row for sweep {last}); {remedy}")
+            if rows.hexdigest() != checksum:
+                raise ValueError(f"{path} is damaged (the checksum of its rows does not hold); {remedy}")
+            if not keep:
+                file.truncate(file.tell())
+    except OSError as error:
+        raise ValueError(f"{path} can't be read ({error.strerror}); {remedy}") from error
+    return rows
+
+
+def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
+    """Write a checkpoint so that at any moment `path` holds a whole one, the old or the new."""
+    kept = checkpoint._asdict()
+    save_arrays(path, kept.pop("state")._asdict() | kept)
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """The checkpoint of a file. Raises `ValueError` where a bit of it is not as it was."""
+    data, remedy = load_arrays(path, "start again with --force"), "start again with --force"
+    try:
+        state = AnnealState(int(data["sweep"]), data["positions"], int(data["around"]))
+        return Checkpoint(state, data["kept_sweeps"], data["kept_positions"], str(data["rows"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is of another version ({error}); {remedy}") from error

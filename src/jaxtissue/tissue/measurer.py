@@ -1,0 +1,208 @@
+"""Whole diagrams: the sizes of all cells, once, or again and again while the tissue moves."""
+
+import functools
+import math
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import NamedSharding, PartitionSpec
+from jaxtyping import Array, Float, Int
+
+from jaxtissue.compilation.fusion import options
+from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.geometry.positions import as_positions
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.cells import CellGeometry
+from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines
+from jaxtissue.neighbors.search import TILES, complete_lists, find_defect
+from jaxtissue.neighbors.shortlists import (
+    CANDIDATES,
+    STOPS,
+    both_views,
+    from_both,
+    nearest_sides,
+    see,
+    shortlist_length,
+    sight_lines,
+)
+from jaxtissue.tissue.refinement import (
+    FEW_CELLS,
+    LIMITS,
+    SUMS,
+    Tissue,
+    measure_refined,
+    measuring,
+    mesh,
+    plain,
+)
+from jaxtissue.topology.traced_sizes import trace_sizes
+
+Positions = Float[Array | np.ndarray, "n 2"]
+
+
+@usual_modes()
+def measure_tissue(
+    positions: Positions,
+    tube: Tube,
+    resolution: Resolution | str = "standard",
+    surfaces: bool = True,
+    tolerance: float | None = None,
+    refine: bool = True,
+) -> tuple[CellGeometry, float]:
+    """Sizes of every cell of a tissue with bounds of their errors, and the defect of an exact sum over cells.
+
+    The defect is the largest relative error of the cells' lengths summed along a line, `tiling_defect`: 0 to
+    rounding, as lists are grown until it is or they hold all cells, and 0 for up to 64 cells. So this takes
+    concrete arrays; inside `jit` call `measure_cells`. Positions as (axial, angle), [n, 2], in any form that
+    `as_positions` takes; a resolution as `as_resolution` does. Without `surfaces`, areas and perimeters on
+    them are left out.
+
+    `volume_error` and `lateral_area_error` bound the errors of most cells, not of all. Where they may be
+    above 1 % of the mean volume or 5 % of the mean lateral area, edges are traced as by `find_connectivity`
+    and cells measured within them, in 64 bits, to some 1e-5. So is every cell of a tissue of up to 64,
+    whatever the resolution, and of any with a `tolerance`, a fraction of both means, below 1 %: about a
+    millisecond a cell. Without `refine` all cells are measured by the rule of the resolution alone, and there
+    are no errors and no warnings.
+
+    Raises `ValueError` for positions that `as_positions` refuses, and for a tolerance that is not positive.
+    Warns, naming the worst cells, where errors above the limits are left, and where the volumes do not add up
+    to the tube's.
+    """
+    if tolerance is not None and not tolerance > 0:
+        raise ValueError(f"tolerance={tolerance} is not a positive fraction of the mean cell; try 0.001")
+    given, resolution = as_positions(positions, tube, float), as_resolution(resolution)
+    limits, defect, n = as_limits(tolerance), 0.0, len(given)
+    closely = refine and (n <= FEW_CELLS or min(limits) < min(LIMITS))
+    traced = trace_sizes(given, tube) if closely else None
+    if traced is not None:
+        cells = plain(traced._asdict(), jnp.result_type(float), surfaces)
+    else:
+        place = as_positions(positions, tube, sizes=not refine)
+        sides, (defect, is_far) = complete_lists(place, tube)
+        if not refine:
+            lines = plan_lines(tube, n, resolution, surfaces=surfaces)
+            return _measure(place, jax.tree.map(np.asarray, (tube, lines, sides))), float(defect)
+        cells = measure_refined(Tissue(place, given, tube, sides, is_far), resolution, surfaces, limits)
+    for message in doubts(cells, tube, limits):
+        warnings.warn(message, stacklevel=3)
+    return cells, float(defect)
+
+
+def as_limits(tolerance: float | None) -> tuple[float, float]:
+    """The errors of volume and lateral area, as fractions of their means, that a tolerance leaves."""
+    return (min(tolerance, LIMITS[0]), min(tolerance, LIMITS[1])) if tolerance else LIMITS
+
+
+def doubts(cells: CellGeometry, tube: Tube, limits: tuple[float, float]) -> Iterator[str]:
+    """What a user should know before trusting the sizes: nothing where their errors are below the limits.
+
+    The limits are fractions of the mean volume and of the mean lateral area.
+    """
+    for name, limit in zip(("volume", "lateral_area"), limits, strict=True):
+        size = np.asarray(getattr(cells, name), float)
+        share = np.asarray(getattr(cells, f"{name}_error"), float) / max(size.mean(), 1e-300)
+        over = np.flatnonzero(~(share <= limit))
+        if len(over) and len(size) > 1:
+            worst = over[np.argsort(-np.nan_to_num(share[over], nan=np.inf))[:5]]
+            listed = ", ".join(f"{cell} ({100 * share[cell]:.2g} %)" for cell in worst)
+            label = name.replace("_", " ")
+            cure = "use 64 bits, move backbones that nearly coincide apart"
+            cure += ", or take a larger tolerance" if limit < min(LIMITS) else ""
+            yield (
+                f"the {label} of {len(over)} of {len(size)} cells may be off by more than {100 * limit:g} %"
+                f" of the mean: cells {listed}; {cure}"
+            )
+    total, error = (np.asarray(c, float).sum() for c in (cells.volume, cells.volume_error))
+    lost = total - float(tube.volume)
+    if not abs(lost) <= error + SUMS * float(tube.volume) / len(cells.volume):
+        share = lost / float(tube.volume)
+        yield f"the cells' volumes add up to {1 + share:.6f} of the tube's: some lack a part, or overlap"
+
+
+class Kept(NamedTuple):
+    """What a `Gauge` keeps: few candidates of each cell, and all but the positions on every device."""
+
+    sides: Int[np.ndarray, "n 2 few"]
+    placed: tuple[Tube, Lines, Array]
+
+
+class Gauge:
+    """Measures a tissue that moves, on short candidate lists, kept as long as they lack nobody.
+
+    Every cell is compared with the 22 candidates a side (more of more than 500 cells) that could soonest stop
+    it, and lengths are summed along lines as by `measure_tissue`. Where the sum shows that somebody is
+    lacking, lists are found anew, which `renewals` counts, and the cells are measured on these. Without
+    `check` there is no sum: then it is for the caller to know that the lists hold, as after small moves.
+
+    >>> tube = Tube(length=40, apical_radius=2, basal_radius=6)
+    >>> positions = tube.random_positions(jax.random.key(0), 100)
+    >>> gauge = Gauge(tube, "draft")
+    >>> first = gauge.measure(positions)
+    >>> turned = gauge.measure(positions + np.array([0, 0.01], np.float32))
+    >>> gauge.renewals, bool(abs(turned.volume - first.volume).max() < 1e-3)
+    (1, True)
+    """
+
+    def __init__(self, tube: Tube, resolution: Resolution | str = "standard", surfaces: bool = False) -> None:
+        self.tube, self.resolution, self.surfaces = tube, as_resolution(resolution), surfaces
+        self.renewals = 0
+        self._kept: Kept | None = None
+
+    @usual_modes()
+    def measure(self, positions: Positions, check: bool = True) -> CellGeometry:
+        """Sizes of all cells of the tissue where it is now.
+
+        Raises `ValueError` for positions that `as_positions` refuses.
+        """
+        positions = as_positions(positions, self.tube)
+        kept, lacks = self._kept, True
+        if kept and len(kept.sides) == len(positions):
+            lacks = check and find_defect(positions, self.tube, kept.sides) >= TILES
+        if lacks or not kept:
+            kept = self._renew(positions)
+        return _measure(positions, kept.placed)
+
+    @property
+    def sides(self) -> Int[np.ndarray, "n 2 few"] | None:
+        """The candidates kept, behind and ahead of each cell, padded with the cell itself; None before."""
+        return self._kept.sides if self._kept else None
+
+    def _renew(self, positions: Positions) -> Kept:
+        """Find complete lists, see how clear of each cell candidates are, and keep the few that are least."""
+        n, tube = len(positions), self.tube
+        # as wide on both sides as the mean cell at the apical surface: who is that level may change sides
+        margin = math.sqrt(2 * float(tube.apical_radius) * float(tube.length) / n)
+        sides, _ = complete_lists(positions, tube, margin)
+        lines = plan_lines(tube, n, self.resolution, surfaces=self.surfaces)
+        looked_at = lines, sight_lines(tube, n, self.resolution)
+        _, clear = _seeing()(positions, tube, looked_at, sides)
+        views = both_views(sides)  # while the device looks
+        clear = from_both(np.asarray(clear), views)
+        # all who stop a cell, as the check's lines might not see some; in steps, so that shapes are few
+        bounding = int((clear <= STOPS).sum(axis=2).max())
+        count = min(max(shortlist_length(n), -(-bounding // CANDIDATES) * CANDIDATES), sides.shape[2])
+        few = nearest_sides(sides, clear, count)
+        while count < sides.shape[2] and find_defect(positions, tube, few) >= TILES:  # some may need more
+            count = min(2 * count, sides.shape[2])
+            few = nearest_sides(sides, clear, count)
+        self.renewals += 1
+        everywhere = NamedSharding(mesh(tuple(jax.local_devices())), PartitionSpec())
+        self._kept = Kept(few, jax.device_put((tube, lines, few), everywhere))
+        return self._kept
+
+
+def _measure(positions: Positions, rest: tuple[Tube, Lines, Array | np.ndarray]) -> CellGeometry:
+    """Sizes of all cells, these shared out among the devices of this process."""
+    devices, n = tuple(jax.local_devices()), len(positions)
+    cells = np.minimum(np.arange(-(-n // len(devices)) * len(devices)), n - 1)  # the last may be one
+    found, _ = measuring(devices)(cells.astype(np.int32), np.asarray(positions), *rest)
+    return jax.tree.map(lambda column: column[:n], found)
+
+
+@functools.cache
+def _seeing() -> Callable[..., tuple[Any, Array]]:
+    return jax.jit(see, compiler_options=options(light=True))

@@ -1,0 +1,1 @@
+"""Who touches whom: traced edges, contacts with areas, transitions, statistics."""

@@ -1,0 +1,121 @@
+"""Who touches whom: walls between cells, measured from the edges that bound them."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import ArrayLike, Bool, Float, Int
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from jaxtissue.geometry.positions import as_positions
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.topology.bisectors import BOUNDS, Leads
+from jaxtissue.topology.edges import WIDE, EdgeGraph, trace_edges
+from jaxtissue.topology.rims import SIDES, measure_rims
+
+KINDS = ("internal", "apical", "basal", "apical_basal")
+ROUNDOFF = 1e-10  # of the mean wall: smaller ones are rounding
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """The pairs of cells that share a wall, a < b, in order; areas and lengths in units of the tube's."""
+
+    cells: int
+    pairs: Int[np.ndarray, "m 2"]
+    area: Float[np.ndarray, " m"]  # of the wall
+    apical_length: Float[np.ndarray, " m"]  # of its edge on the apical surface, 0 where it has none
+    basal_length: Float[np.ndarray, " m"]
+    kind: np.ndarray  # of KINDS, by the surfaces on which they touch
+    pieces: Int[np.ndarray, " m"]  # connected parts of the wall
+
+    def degree(self, *kinds: str) -> Int[np.ndarray, " n"]:
+        """Number of neighbors of each cell, of the given kinds or of all."""
+        chosen = self.pairs[np.isin(self.kind, kinds or KINDS)]
+        return np.bincount(chosen.ravel(), minlength=self.cells)
+
+
+class Faces(NamedTuple):
+    """The faces of the cells, by the two labels they part (the second a bound on the tube's own surfaces),
+    and their rims: a row for every face that an edge bounds.
+
+    Rows of a face that are joined at vertices are a part. The area of a part is positive if it runs round a
+    piece of a wall, and negative round a hole; it turns by 2 pi if it goes round the lumen.
+    """
+
+    labels: Int[np.ndarray, "f 2"]
+    face: Int[np.ndarray, " rows"]
+    edge: Int[np.ndarray, " rows"]
+    part: Int[np.ndarray, " rows"]
+    part_face: Int[np.ndarray, " parts"]
+    area: Float[np.ndarray, " parts"]
+    length: Float[np.ndarray, " parts"]
+    is_round: Bool[np.ndarray, " parts"]
+    edge_length: Float[np.ndarray, " e"]
+    volume: Float[np.ndarray, " n"]  # of the cells within them
+
+    def is_wall(self, blur: float = 0.0) -> Bool[np.ndarray, " parts"]:
+        """Which parts are wider than what comes of walls that are off by `blur`."""
+        return 2 * np.abs(self.area) > WIDE * blur * self.length
+
+
+def find_contacts(
+    positions: Float[ArrayLike, "n 2"],
+    tube: Tube,
+    threshold: float = 0.0,
+    edges: EdgeGraph | None = None,
+    faces: Faces | None = None,
+) -> Contacts:
+    """All pairs of cells with a common wall: its area, edges on the surfaces, kind and pieces.
+
+    Areas are integrals round the rims of the walls, right to some 1e-6 of the mean wall. Walls below
+    `threshold`, a fraction of the mean wall, are left out, and so are those without a width, between cells
+    that meet in a line, as on a lattice. Positions as (axial, angle), [n, 2]; `edges` and their `faces` spare
+    tracing and measuring them anew. Raises `ValueError` for a threshold that is negative or not a number.
+    Paper, section 4.3.
+
+    >>> contacts = find_contacts([[2, 0], [3, 0], [3, 3.1]], Tube(5, 1, 2))
+    >>> contacts.pairs.tolist(), contacts.kind.tolist()
+    ([[0, 1], [0, 2], [1, 2]], ['apical_basal', 'apical_basal', 'apical_basal'])
+    """
+    if not threshold >= 0:
+        raise ValueError(f"threshold={threshold}; give a fraction of the mean wall, 0 or more")
+    positions = as_positions(positions, tube, np.float64)
+    graph = trace_edges(positions, tube) if edges is None else edges
+    faces = find_faces(graph, Leads(positions, tube)) if faces is None else faces
+    bound = graph.edge_labels[faces.edge, 2] - graph.cells
+    count, length = len(faces.labels), faces.edge_length[faces.edge]
+    apical, basal = (np.bincount(faces.face, length * (bound == surface), count) for surface in (0, 1))
+    kind = np.array(KINDS)[(apical > WIDE * graph.blur) + 2 * (basal > WIDE * graph.blur)]
+    real = faces.is_wall(graph.blur)
+    area = np.bincount(faces.part_face[real], faces.area[real], count)
+    pieces = np.bincount(faces.part_face[real & (faces.area > 0)], minlength=count)
+    walls = np.flatnonzero((faces.labels[:, 1] < graph.cells) & (pieces > 0))
+    least = max(threshold, ROUNDOFF) * area[walls].mean() if len(walls) else 0
+    kept = walls[area[walls] >= least]
+    columns = (faces.labels, area, apical, basal, kind, pieces)
+    return Contacts(graph.cells, *(column[kept] for column in columns))
+
+
+def find_faces(edges: EdgeGraph, leads: Leads) -> Faces:
+    """The faces of all cells from the edges round them."""
+    n, labels, rims = edges.cells, edges.edge_labels, measure_rims(edges, leads)
+    sides = np.concatenate([labels[:, [one, two]] for one, two, _ in SIDES])
+    rows = np.flatnonzero(sides[:, 0] < n)
+    base = n + BOUNDS
+    pairs, face = np.unique(sides[rows] @ [base, 1], return_inverse=True)
+    pairs, edge = np.stack(np.divmod(pairs, base), axis=1), np.tile(np.arange(len(labels)), 3)[rows]
+    vertices = edges.edge_vertices[edge]
+    row, end = np.nonzero(vertices >= 0)
+    corner = np.unique(face[row] * len(edges.vertices) + vertices[row, end], return_inverse=True)[1]
+    size = len(edge) + corner.max(initial=-1) + 1
+    joined = sparse.coo_array((np.ones(len(row), bool), (row, len(edge) + corner)), shape=(size, size))
+    count, part = connected_components(joined, directed=False)
+    part, part_face = part[: len(edge)], np.zeros(count, int)
+    part_face[part] = face
+    area, turn = (np.bincount(part, values.ravel()[rows], count) for values in (rims.area, rims.turn))
+    length = np.bincount(part, rims.length[edge], count)
+    return Faces(
+        pairs, face, edge, part, part_face, area, length, np.abs(turn) > np.pi, rims.length, rims.volume
+    )

@@ -1,0 +1,271 @@
+"""The edges of the diagram, where three labels meet, followed from vertex to vertex.
+
+From seeds, edges are followed to the vertices that end them, and from each new vertex its other edges. Every
+vertex ends four edges, every edge has two ends: what is missing shows as an open end.
+"""
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import ArrayLike, Bool, Float, Int
+from scipy.spatial import KDTree
+
+from jaxtissue.geometry.positions import as_positions
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.topology.bisectors import BOUNDS, TIE, TINY, TOUCH, Leads, ranges
+from jaxtissue.topology.continuation import GOING, HOME, LOST, Fronts, begin, passes, refine_all, step
+from jaxtissue.topology.seeds import Seeds, seed, seed_lenses
+
+TRIES = 8  # tracings at most
+CARE = 4.0  # by how much steps are shorter at most
+PART = 1e-7  # of the distances to their next: how far walls that meet in one line of four cells are parted
+NEAR_TIES = 4  # a fifth label may lag behind four by so many ties and still count as tied
+WIDE = 100  # times that: what is narrower may come of it
+FIRST = 8  # of the seeds at most one in so many is followed at first, then those on no edge yet
+TOGETHER = 64  # seeds to follow at first, at least: fewer fronts take hardly less time a step
+
+
+class EdgeGraph(NamedTuple):
+    """Vertices and edges of a tissue of n cells by their sorted labels: cells, and n .. n + 3 the apical and
+    basal surface and the ends x = 0 and x = L.
+
+    Those with one cell are arcs of the circles at the tube's ends. Edges come in short segments of given ends
+    and unit tangents, all along grad lead_1 x grad lead_2 over the edge's first label.
+    """
+
+    cells: int
+    vertices: Float[np.ndarray, "v 3"]
+    vertex_labels: Int[np.ndarray, "v 4"]
+    edge_labels: Int[np.ndarray, "e 3"]
+    edge_vertices: Int[np.ndarray, "e 2"]  # -1 for a closed edge
+    segment_edge: Int[np.ndarray, " s"]
+    points: Float[np.ndarray, "s 2 3"]
+    tangents: Float[np.ndarray, "s 2 3"]
+    open_ends: int  # of edges, cells not met or told apart: if not 0, parts may be missing
+    blur: float  # how far walls are off, at most, where more than four labels met and had to be parted
+
+
+def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
+    """All edges and vertices of the cells of backbones at (axial, angle) positions, [n, 2], in float64.
+
+    Every step looks at all backbones near enough to lead; where an end stays open, all is traced again in
+    shorter steps. Where five labels meet, as on lattices, tiny weights on the
+    squared distances of the cells concerned part them into vertices of four. Warns of open ends. Paper,
+    section 4.1.
+    """
+    place = as_positions(positions, tube, np.float64)
+    plain = Leads(place, tube)
+    random, weights, care, best = np.random.default_rng(0), np.zeros(len(place)), 1.0, None
+    for _ in range(TRIES):
+        graph, tied, lost = _trace(Leads(place, tube, care, weights if weights.any() else None))
+        rank = graph.open_ends, int(tied.sum())
+        if best is None or rank < best[0]:
+            best = rank, graph, weights.copy()
+        if not any(rank):
+            break
+        if not tied.any() and care < CARE:  # some step crossed a wall and crossed it back
+            care *= 2
+            continue
+        parted = tied if tied.any() else lost
+        gaps = _gaps(plain, plain.inner) * _gaps(plain, plain.outer)
+        weights[parted] = random.uniform(0, PART, parted.sum()) * gaps[parted]
+    assert best is not None
+    (_, untold), graph, weights = best
+    graph = graph._replace(open_ends=graph.open_ends + untold)
+    if graph.open_ends:
+        message = (
+            f"{graph.open_ends} edges of the diagram could not be followed: contacts and transitions may be"
+        )
+        warnings.warn(f"{message} missing; move backbones that nearly coincide apart", stacklevel=2)
+    return _settle(graph, plain, weights) if weights.any() else graph
+
+
+def _gaps(leads: Leads, radius: float) -> Float[np.ndarray, " n"]:
+    """How far from each backbone the next is at a radius."""
+    ends = np.stack([leads.axial, radius * leads.cosine, radius * leads.sine], axis=1)[: leads.count]
+    return KDTree(ends).query(ends, k=2)[0][:, 1]
+
+
+def _settle(graph: EdgeGraph, leads: Leads, weights: Float[np.ndarray, " n"]) -> EdgeGraph:
+    """The graph traced with weights: its vertices where they are without, if four walls meet in a point."""
+    blur = float((weights / np.maximum(_gaps(leads, leads.inner), TINY)).max()) / 2
+    small = np.full(len(graph.vertices), TOUCH * leads.size)
+    point, found = leads.solve(graph.vertices, graph.vertex_labels, small)
+    found &= np.abs(point - graph.vertices).max(axis=1, initial=0) < WIDE * blur
+    return graph._replace(vertices=np.where(found[:, None], point, graph.vertices), blur=blur)
+
+
+def _trace(leads: Leads) -> tuple[EdgeGraph, Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """The graph, the cells at vertices where a fifth label ties, and those whose edges were lost."""
+    graph, seeds = _Growing(leads), seed(leads)
+    apart = min(FIRST, 1 + len(seeds.point) // TOGETHER)
+    graph.grow(Seeds(*(column[::apart] for column in seeds)))
+    graph.grow(Seeds(*(column[~graph.covers(seeds)] for column in seeds)))
+    lenses = seed_lenses(*graph.walls(), leads)
+    if len(lenses.point):
+        graph.grow(Seeds(*(column[~graph.covers(lenses)] for column in lenses)))
+    return graph.finish()
+
+
+class _Growing:
+    """The graph while it is traced."""
+
+    def __init__(self, leads: Leads) -> None:
+        self.leads = leads
+        self.points: list[list[float]] = []
+        self.labels: list[tuple[int, ...]] = []
+        self.known: dict[tuple[int, ...], list[int]] = {}
+        self.closed: dict[
+            int, int
+        ] = {}  # the other end of the edge at each end; the front of a loop at -1 - it
+        self.begun: list[Fronts] = []
+        self.count = 0
+        self.edges: list[tuple[int, int, int]] = []  # front, its end, the end it came to
+        self.walked: list[
+            tuple[np.ndarray, np.ndarray]
+        ] = []  # fronts, and the points between which they went
+
+    def grow(self, seeds: Seeds) -> None:
+        """Follow the edges at seeds, and all that are joined to them."""
+        sign, end = np.ones(len(seeds.point)), np.full(len(seeds.point), -1)
+        fronts = self._begin(seeds.point, seeds.labels, sign, end)
+        while len(fronts.point):
+            moved, met = step(fronts, self.leads)
+            good = met != LOST
+            self.walked.append((moved.number[good], np.stack([fronts.point, moved.point], axis=1)[good]))
+            first = len(self.points)
+            self._enter(moved, met)
+            open_ = np.array([end not in self.closed for end in moved.end.tolist()], bool)
+            going = open_ & ((met == GOING) | (met == LOST)) & (moved.longest > TOUCH * self.leads.size)
+            fronts = Fronts.of_all([moved.of(going), self._leave(first)])
+
+    def _begin(self, point: np.ndarray, labels: np.ndarray, sign: np.ndarray, end: np.ndarray) -> Fronts:
+        fronts = begin(point, labels, sign, end, self.count, self.leads)
+        self.count += len(point)
+        self.begun.append(fronts)
+        return fronts
+
+    def _enter(self, fronts: Fronts, met: np.ndarray) -> None:
+        """Enter the edges whose vertex has been reached."""
+        home = fronts.of(met == HOME)
+        self.edges += [(number, -1, -1) for number in home.number.tolist()]
+        there = met >= 0
+        ends = fronts.of(there)
+        four = np.sort(np.append(ends.labels, met[there, None], axis=1), axis=1)
+        place = (four < met[there, None]).sum(axis=1)
+        rows = zip(
+            *(column.tolist() for column in (ends.number, ends.end, four, place, ends.point)), strict=True
+        )
+        for number, left, labels, omitted, point in rows:
+            end = 4 * self._vertex(point, tuple(labels)) + omitted
+            if left < 0 or left in self.closed:
+                continue
+            if (
+                end in self.closed
+            ):  # one of the two went astray: whose other end stays open, or is met rightly
+                continue
+            self.closed[left], self.closed[end] = end, left
+            self.edges.append((number, left, end))
+
+    def _vertex(self, point: list[float], labels: tuple[int, ...]) -> int:
+        """The number of a vertex, new or known."""
+        same = self.known.setdefault(labels, [])
+        for number in same:
+            if (
+                max(abs(a - b) for a, b in zip(self.points[number], point, strict=True))
+                < 1e-8 * self.leads.size
+            ):
+                return number
+        same.append(len(self.points))
+        self.points.append(point)
+        self.labels.append(labels)
+        return same[-1]
+
+    def _leave(self, first: int) -> Fronts:
+        """Fronts along the edges that the vertices from number `first` on end, if not yet followed."""
+        point = np.array(self.points[first:]).reshape(-1, 3)
+        labels = np.array(self.labels[first:], int).reshape(-1, 4)
+        rest = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+        triple, other = labels[:, rest].reshape(-1, 3), labels.ravel()
+        end = 4 * first + np.arange(len(other))
+        new = np.array([number not in self.closed for number in end.tolist()], bool)
+        go = np.flatnonzero(new)
+        triple, other, point = triple[go], other[go], point[go // 4]
+        _, slope = self.leads.over_first(point, np.stack([triple[:, 0], other], axis=1))
+        sign = -np.sign((self.leads.tangent(point, triple) * slope[..., 0].T).sum(axis=1))
+        return self._begin(point, triple, sign, end[go])
+
+    def _segments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Labels of all fronts; the front and the two points of each segment walked, in order."""
+        labels = np.concatenate([fronts.labels for fronts in self.begun])
+        front, points = (np.concatenate(part) for part in zip(*self.walked, strict=True))
+        order = np.argsort(front, kind="stable")
+        return labels, front[order], points[order]
+
+    def covers(self, seeds: Seeds) -> Bool[np.ndarray, " m"]:
+        """Whether an edge has been followed past each seed."""
+        labels, front, points = self._segments()
+        base = self.leads.count + 4
+        key, wanted = (rows @ [base**2, base, 1] for rows in (labels[front], seeds.labels))
+        order = np.argsort(key)
+        first, last = (np.searchsorted(key[order], wanted, side=side) for side in ("left", "right"))
+        row, place = ranges(first, last - first)
+        start, stop = points[order[place]].transpose(1, 0, 2)
+        near = passes(seeds.point[row], start, stop, np.linalg.norm(stop - start, axis=1) / 5)
+        return np.bincount(row, near, len(wanted)) > 0
+
+    def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The pairs of cells with a wall, and a ball for each that holds whoever comes as near to its rim."""
+        labels, front, points = self._segments()
+        place, three = points.mean(axis=1), labels[front]
+        foot, out = self.leads.feet(place, three[:, 0]), np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
+        out += np.linalg.norm(place - foot, axis=1)
+        sides = np.concatenate([three[:, [0, 1]], three[:, [1, 2]], three[:, [0, 2]]])
+        wall = np.flatnonzero(sides[:, 1] < self.leads.count)
+        keys, which = np.unique(sides[wall] @ [self.leads.count, 1], return_inverse=True)
+        row, size = wall % len(three), np.bincount(which)
+        center = np.stack([np.bincount(which, x[row]) / size for x in place.T], axis=1)
+        reach = np.zeros(len(keys))
+        np.maximum.at(reach, which, np.linalg.norm(place[row] - center[which], axis=1) + out[row])
+        return np.stack(np.divmod(keys, self.leads.count), axis=1), center, reach
+
+    def finish(self) -> tuple[EdgeGraph, Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+        """The graph traced, and the cells at ties and at open ends."""
+        leads, n = self.leads, self.leads.count
+        labels, front, points = self._segments()
+        begun = np.array(self.edges, int).reshape(-1, 3)
+        sign = np.concatenate([fronts.sign for fronts in self.begun])
+        closed = np.flatnonzero(begun[:, 1] < 0)
+        _, once = np.unique(labels[begun[closed, 0]], axis=0, return_index=True)
+        begun = begun[np.sort(np.append(np.flatnonzero(begun[:, 1] >= 0), closed[once]))]
+        edge_of = np.full(self.count, -1)
+        edge_of[begun[:, 0]] = np.arange(len(begun))
+        edge = edge_of[front]
+        front, points, edge = front[edge >= 0], points[edge >= 0], edge[edge >= 0]
+        order = np.argsort(edge, kind="stable")
+        edge, points, along = edge[order], points[order], sign[front[order]]
+        points = np.where((along > 0)[:, None, None], points, points[:, ::-1])
+        points, tangents, segment = refine_all(points, labels[begun[edge, 0]], leads)
+        four, vertices = np.array(self.labels, int).reshape(-1, 4), np.array(self.points).reshape(-1, 3)
+        rival, beyond = leads.foremost(vertices, four)
+        tied, lost = np.zeros(n + BOUNDS, bool), np.zeros(n + BOUNDS, bool)
+        ties = beyond > -NEAR_TIES * TIE * leads.size
+        tied[four[ties]] = tied[rival[ties]] = True
+        ended = np.bincount(np.array(list(self.closed), int) // 4, minlength=len(four))
+        lost[four[ended < 4]] = True
+        unseen = np.bincount(labels[begun[:, 0]].ravel(), minlength=n)[:n] == 0  # behind a twin
+        lost[:n] |= unseen
+        graph = EdgeGraph(
+            n,
+            vertices,
+            four,
+            labels[begun[:, 0]],
+            begun[:, 1:] // 4,
+            edge[segment],
+            points,
+            tangents,
+            int(4 * len(four) - len(self.closed) + unseen.sum()),
+            0.0,
+        )
+        return graph, tied[:n], lost[:n]

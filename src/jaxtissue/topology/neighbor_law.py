@@ -1,0 +1,140 @@
+"""Laws of connectivity: how neighbors grow with the surface ratio, and the bounds that tightness sets."""
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import ArrayLike, Float
+from scipy import sparse
+from scipy.special import expit
+
+from jaxtissue.diagram.spread import covering_radius, neighbor_bound, separation, tube_neighbor_bound
+from jaxtissue.geometry.positions import as_positions
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.topology.contacts import Contacts
+from jaxtissue.topology.statistics import Connectivity
+
+EXTREME = 50.0  # ln of a surface ratio that no tissue has
+
+
+@dataclass(frozen=True)
+class NeighborLaw:
+    """Mean neighbors against the surface ratio s = R_b / R_a: a logistic function of ln s.
+
+    N(s) = low + (high - low) / (1 + exp(-steepness (ln s - ln middle))); "Flintstones' law" (paper, Fig. 12).
+
+    >>> NeighborLaw(6, 10, 5, 1, {}, 0, 1).predict([5, 1e9]).round(3).tolist()
+    [8.0, 10.0]
+    """
+
+    low: float  # as s -> 0
+    high: float  # as s grows without bound
+    middle: float  # the ratio half way between
+    steepness: float
+    standard_errors: dict[str, float]  # of the four, not numbers for as many points as parameters
+    residual: float  # root mean square
+    r2: float
+
+    def predict(self, ratios: Float[ArrayLike, "..."]) -> Float[np.ndarray, "..."]:
+        """Mean neighbors at surface ratios."""
+        shape = self.low, self.high, math.log(self.middle), self.steepness
+        return _logistic(np.log(np.asarray(ratios, float)), *shape)
+
+    __call__ = predict
+
+
+def fit_neighbor_law(ratios: Float[ArrayLike, " k"], neighbors: Float[ArrayLike, " k"]) -> NeighborLaw:
+    """The neighbor law by least squares, each point with the same weight (paper, Fig. 12).
+
+    Raises `ValueError` for fewer than four ratios, values that are not finite, ratios not above 0, and points
+    that no logistic function fits, such as those that do not level off.
+
+    >>> law = fit_neighbor_law([1, 2, 5, 10, 50], NeighborLaw(6, 10, 5, 1, {}, 0, 1)([1, 2, 5, 10, 50]))
+    >>> round(law.low, 3), round(law.high, 3), round(law.middle, 3), round(law.steepness, 3)
+    (6.0, 10.0, 5.0, 1.0)
+    """
+    from scipy.optimize import OptimizeWarning, curve_fit  # takes a fifth of a second to import
+
+    ratio, found = np.asarray(ratios, float), np.asarray(neighbors, float)
+    if ratio.shape != found.shape or ratio.ndim != 1 or len(np.unique(ratio)) < 4:
+        raise ValueError(f"{ratio.shape} ratios, {found.shape} neighbors; give four different ratios or more")
+    if not (np.isfinite(ratio).all() and np.isfinite(found).all() and (ratio > 0).all()):
+        raise ValueError("ratios and neighbors must be finite, and ratios above 0; leave the others out")
+    place, spread = np.log(ratio), np.ptp(found)
+    rising = np.polyfit(place, found, 1)[0] >= 0
+    start = found.min(), found.max(), place.mean(), (4 if rising else -4) / np.ptp(place)
+    try:
+        if spread == 0:
+            raise RuntimeError("they are all the same")
+        with warnings.catch_warnings():  # of errors that are not numbers, as they are then returned
+            warnings.simplefilter("ignore", OptimizeWarning)
+            best, covariance = curve_fit(_logistic, place, found, start, maxfev=5_000, xtol=1e-12, ftol=1e-12)
+        if abs(best[2]) > EXTREME:
+            raise RuntimeError("they show no bend")
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())
+        remedy = "give ratios from near 1 to where neighbors level off"
+        raise ValueError(f"no logistic function fits the neighbors ({reason}); {remedy}") from error
+    low, high, middle, steepness = best.tolist()
+    if steepness < 0:  # the same function with its ends exchanged
+        low, high, steepness = high, low, -steepness
+    error = np.sqrt(np.diag(covariance)) if len(found) > 4 else np.full(4, math.nan)
+    error = error[[1, 0, 2, 3]] if best[3] < 0 else error
+    off = found - _logistic(place, *best)
+    names = ("low", "high", "middle", "steepness")
+    errors: dict[str, float] = dict(zip(names, (error * [1, 1, math.exp(middle), 1]).tolist(), strict=True))
+    r2 = 1 - (off**2).mean() / found.var()
+    return NeighborLaw(low, high, math.exp(middle), steepness, errors, math.sqrt((off**2).mean()), float(r2))
+
+
+def bound_ratios(
+    positions: Float[ArrayLike, "n 2"],
+    tube: Tube,
+    connectivity: Connectivity,
+    hops: Sequence[int] = (1, 2, 3),
+) -> list[dict[str, Any]]:
+    """How near a tissue comes to the bounds of Lemma 1, Lemma 2 and Corollary 1: measured / bound, at most 1.
+
+    Measured is the largest number over the cells of neighbors, or of other cells within `hops` contacts
+    (Corollary 1, with the constant of Lemma 2: 4 (2 h phi + 1/2)^2). Rows with `bound`, `hops`, `measured`,
+    `limit`, `ratio` and `tightness`, phi. Positions as (axial, angle), [n, 2]. Paper, section 2.
+
+    >>> from jaxtissue import find_connectivity
+    >>> place, tube = [[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2)
+    >>> rows = bound_ratios(place, tube, find_connectivity(place, tube), hops=[2])
+    >>> [(row["bound"], row["measured"], row["ratio"] < 1) for row in rows]
+    [('Lemma 1', 3, True), ('Lemma 2', 3, True), ('Corollary 1', 3, True)]
+    """
+    place = as_positions(positions, tube, sizes=False)
+    apart = float(separation(place, tube))
+    phi = float(covering_radius(place, tube)) / apart if apart > 0 else math.inf
+    length = float(tube.basal_radius - tube.apical_radius) / apart if apart > 0 else math.inf
+    reached = _count_within(connectivity.contacts, max([1, *hops]))
+    rows = [("Lemma 1", 1, neighbor_bound(phi, length)), ("Lemma 2", 1, tube_neighbor_bound(phi))]
+    rows += [("Corollary 1", hop, tube_neighbor_bound(phi, hop)) for hop in hops]
+    return [
+        {"bound": name, "hops": hop, "measured": reached[hop], "limit": limit}
+        | {"ratio": reached[hop] / limit, "tightness": phi}
+        for name, hop, limit in rows
+    ]
+
+
+def _logistic(place: np.ndarray, low: float, high: float, middle: float, steepness: float) -> np.ndarray:
+    return low + (high - low) * expit(steepness * (place - middle))
+
+
+def _count_within(contacts: Contacts, hops: int) -> dict[int, int]:
+    """The most other cells that any cell has within 1, 2, ... hops."""
+    first, second = contacts.pairs.T
+    size = (contacts.cells, contacts.cells)
+    half = sparse.coo_array((np.ones(len(first), np.int32), (first, second)), shape=size)
+    one = (half + half.T + sparse.eye_array(contacts.cells)).astype(np.int32).tocsr()
+    reached, most = one, {}
+    for hop in range(1, hops + 1):
+        most[hop] = int(np.diff(reached.indptr).max()) - 1
+        reached = reached @ one
+        reached.data[:] = 1
+    return most

@@ -1,0 +1,168 @@
+"""Statistics of who touches whom: neighbors by kind, scutoids, polygon classes, the graph."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import networkx as nx
+import numpy as np
+from jaxtyping import ArrayLike, Bool, Float
+
+from jaxtissue.geometry.positions import as_positions
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.topology.bisectors import Leads
+from jaxtissue.topology.contacts import Contacts, find_contacts, find_faces
+from jaxtissue.topology.edges import trace_edges
+from jaxtissue.topology.traced_sizes import TracedSizes, find_ends, traced_sizes
+from jaxtissue.topology.transitions import CellForms, Transitions, find_forms, find_transitions
+
+KIND_ORDER = ("apical_basal", "apical", "basal", "internal")
+SURFACES = {"apical": ("apical_basal", "apical"), "basal": ("apical_basal", "basal"), "all": KIND_ORDER}
+
+
+@dataclass(frozen=True)
+class Connectivity:
+    """All that is known of who touches whom in one tissue, from one tracing of its edges."""
+
+    contacts: Contacts
+    transitions: Transitions
+    forms: CellForms
+    is_end: Bool[np.ndarray, " n"]  # the cell touches an end plane, x = 0 or x = L
+    sizes: TracedSizes | None = None  # of all cells, in 64 bits; None where edges are missing
+
+
+def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold: float = 0.0) -> Connectivity:
+    """Contacts, transition points, forms, end cells and sizes of a tissue, its edges traced once, in float64.
+
+    Positions as (axial, angle), [n, 2], in any form that `as_positions` takes; walls below `threshold`, a
+    fraction of the mean wall, are no contacts, and leave the rest as it is. Raises `ValueError` for positions
+    that `as_positions` refuses and a threshold that is negative or not a number. Paper, section 4.3.
+
+    >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
+    >>> len(four.contacts.pairs), four.transitions.per_cell.tolist(), four.is_end.tolist()
+    (6, [1, 1, 1, 1], [False, False, True, True])
+    """
+    if not threshold >= 0:
+        raise ValueError(f"threshold={threshold}; give a fraction of the mean wall, 0 or more")
+    place = as_positions(positions, tube, np.float64)
+    edges = trace_edges(place, tube)
+    faces = find_faces(edges, Leads(place, tube))
+    return Connectivity(
+        find_contacts(place, tube, threshold, edges, faces),
+        find_transitions(place, tube, edges, faces),
+        find_forms(place, tube, edges, faces),
+        find_ends(edges),
+        traced_sizes(edges, faces, tube),
+    )
+
+
+def tabulate_connectivity(connectivity: Connectivity) -> dict[str, np.ndarray]:
+    """The columns that connectivity adds to the table of cells, one value a cell.
+
+    >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
+    >>> tabulate_connectivity(four)["neighbors"].tolist()
+    [3, 3, 3, 3]
+    """
+    contacts, forms = connectivity.contacts, connectivity.forms
+    columns = {"neighbors": contacts.degree()}
+    columns |= {f"{kind}_neighbors": contacts.degree(kind) for kind in KIND_ORDER}
+    columns |= {"transitions": connectivity.transitions.per_cell}
+    columns |= {"is_scutoid": connectivity.transitions.is_scutoid}
+    return columns | {"is_ring": forms.is_ring, "pieces": forms.pieces}
+
+
+def summarize_connectivity(connectivity: Connectivity, inner_only: bool = False) -> dict[str, float]:
+    """Means over the cells, or over those that touch no end: neighbors, degrees, transitions, fractions.
+
+    `identity_residual` is mean neighbors - mean apical degree - mean transitions / 2: 0 where no cell wraps
+    round the lumen, no two cells touch twice, and no threshold or end leaves out a part. `transitions_max` is
+    the largest count; all are not numbers where there is no cell left. Paper, section 4.3.
+
+    >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
+    >>> summary = summarize_connectivity(four)
+    >>> summary["neighbors"], summary["apical_degree"], summary["scutoid_fraction"]
+    (3.0, 2.5, 1.0)
+    """
+    columns = tabulate_connectivity(connectivity)
+    chosen = ~connectivity.is_end if inner_only else np.ones(len(connectivity.is_end), bool)
+    for surface in ("apical", "basal"):
+        columns[f"{surface}_degree"] = connectivity.contacts.degree(*SURFACES[surface])
+    residual = columns["neighbors"] - columns["apical_degree"] - columns["transitions"] / 2
+    columns["identity_residual"] = residual
+    columns["with_internal"] = columns["internal_neighbors"] > 0
+    columns["detached"] = columns["pieces"] > 1
+    names = ("neighbors", *(f"{kind}_neighbors" for kind in KIND_ORDER))
+    mean = {name: _mean(column[chosen]) for name, column in columns.items()}
+    summary = {name: mean[name] for name in (*names, "apical_degree", "basal_degree", "transitions")}
+    summary["transitions_max"] = float(columns["transitions"][chosen].max()) if chosen.any() else math.nan
+    summary |= {"scutoid_fraction": mean["is_scutoid"], "internal_fraction": mean["with_internal"]}
+    summary |= {"ring_fraction": mean["is_ring"], "detached_fraction": mean["detached"]}
+    return summary | {"identity_residual": mean["identity_residual"]}
+
+
+def polygon_classes(
+    connectivity: Connectivity,
+    areas: Float[ArrayLike, " n"],
+    surface: str = "apical",
+    inner_only: bool = True,
+) -> dict[str, np.ndarray]:
+    """Cells by their number of sides on a surface: how many, how large, with how many-sided neighbors.
+
+    A side is a neighbor that touches on the `surface`, "apical" or "basal", or anywhere for "all"; `areas`
+    are the cells' on it. A row for each number of `sides`, rising: `count` and `fraction` of the cells,
+    `relative_area`, mean area / mean area of all (Lewis), `neighbor_sides`, m(n), and
+    `sides_times_neighbor_sides`, n m(n) (Aboav-Weaire: linear in n). m(n) is the mean over all pairs of a
+    cell of the class and a neighbor, not a number where there is none. With `inner_only` cells that touch an
+    end, which lack sides, are left out, also as neighbors. Raises `ValueError` for another surface and areas
+    of another number of cells.
+
+    >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
+    >>> table = polygon_classes(four, [1, 1, 2, 2], inner_only=False)
+    >>> table["sides"].tolist(), table["count"].tolist(), table["neighbor_sides"].round(2).tolist()
+    ([2, 3], [2, 2], [3.0, 2.33])
+    """
+    if surface not in SURFACES:
+        raise ValueError(f"surface={surface!r} is none of {', '.join(SURFACES)}; choose one of them")
+    contacts, sides = connectivity.contacts, connectivity.contacts.degree(*SURFACES[surface])
+    size = np.asarray(areas, float)
+    if size.shape != sides.shape:
+        raise ValueError(f"areas have shape {size.shape}; give one for each of the {len(sides)} cells")
+    chosen = ~connectivity.is_end if inner_only else np.ones(len(sides), bool)
+    pairs = contacts.pairs[np.isin(contacts.kind, SURFACES[surface])]
+    pairs = pairs[chosen[pairs].all(axis=1)]
+    cell, other = np.concatenate([pairs, pairs[:, ::-1]]).T
+    classes, at = np.unique(sides[chosen], return_inverse=True)
+    count = np.bincount(at, minlength=len(classes))
+    row, shape = np.searchsorted(classes, sides[cell]), len(classes)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        around = np.bincount(row, sides[other], shape) / np.bincount(row, minlength=shape)
+        relative = np.bincount(at, size[chosen], shape) / count / _mean(size[chosen])
+    table = {"sides": classes, "count": count, "fraction": count / max(count.sum(), 1)}
+    table |= {"relative_area": relative, "neighbor_sides": around}
+    return table | {"sides_times_neighbor_sides": classes * around}
+
+
+def tissue_graph(connectivity: Connectivity, columns: Mapping[str, np.ndarray] | None = None) -> nx.Graph:
+    """The contact graph of a tissue: a node per cell, an edge per contact, with plain Python attributes.
+
+    Nodes have the values of `columns`, by default those of `tabulate_connectivity`; edges have `area`,
+    `apical_length`, `basal_length`, `kind` and `pieces`. `networkx.write_graphml` and its like take it.
+
+    >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
+    >>> graph = tissue_graph(four)
+    >>> graph.nodes[0]["neighbors"], graph.edges[0, 1]["kind"]
+    (3, 'apical_basal')
+    """
+    contacts, graph = connectivity.contacts, nx.Graph()
+    columns = tabulate_connectivity(connectivity) if columns is None else columns
+    for cell in range(contacts.cells):
+        graph.add_node(cell, **{name: np.asarray(column)[cell].item() for name, column in columns.items()})
+    names = ("area", "apical_length", "basal_length", "kind", "pieces")
+    values = zip(*(getattr(contacts, name).tolist() for name in names), strict=True)
+    for (first, second), row in zip(contacts.pairs.tolist(), values, strict=True):
+        graph.add_edge(first, second, **dict(zip(names, row, strict=True)))
+    return graph
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean(dtype=float)) if len(values) else math.nan
