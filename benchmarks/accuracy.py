@@ -37,9 +37,7 @@ def measure_case(path: Path) -> dict:
                 jax.block_until_ready(jt.measure_tissue(positions, tube, resolution, refine=False))
                 seconds.append(time.perf_counter() - begin)
             rows[name] = {size: common.rms(getattr(cells, size), known[key]) for size, key in SIZES.items()}
-            rows[name] |= {
-                "total_" + size: total(getattr(cells, size), known[SIZES[size]]) for size in list(SIZES)[:2]
-            }
+            rows[name] |= {"total_" + size: total(getattr(cells, size), known[SIZES[size]]) for size in list(SIZES)[:2]}
             rows[name] |= {"tiling_defect": defect, "seconds": statistics.median(seconds)}
         rows["covering_radius"] = float(jt.covering_radius(positions, tube)) / float(known["phi"]) - 1
     with jax.enable_x64(True):
@@ -58,9 +56,7 @@ def measure_case(path: Path) -> dict:
 
 def total(measured: jax.Array, exact: np.ndarray) -> float:
     """Relative error of the sum over cells."""
-    return (
-        float(np.sum(measured, dtype=float) / exact.sum() - 1) if exact.sum() > 0 else float(np.sum(measured))
-    )
+    return float(np.sum(measured, dtype=float) / exact.sum() - 1) if exact.sum() > 0 else float(np.sum(measured))
 
 
 def main() -> None:
@@ -71,9 +67,7 @@ def main() -> None:
     for name, rows in cases.items():
         for kind, row in rows.items():
             if isinstance(row, dict):
-                totals = [
-                    f"{100 * row.get('total_' + size, np.nan):10.4f}" for size in ("volume", "lateral_area")
-                ]
+                totals = [f"{100 * row.get('total_' + size, np.nan):10.4f}" for size in ("volume", "lateral_area")]
                 print(
                     f"{name:18} {kind:9} {100 * row['volume']:8.4f} {100 * row['lateral_area']:8.4f}",
                     *totals,

@@ -75,9 +75,7 @@ def measure(arguments: Any) -> list[dict[str, Any]]:
                 row.setdefault("first_seconds", told["first_seconds"])
             row["times"].append(seconds)
             row |= {"case": case, "threads": threads, "kind": kind, "size": size}
-            row |= errors(
-                truths[case], sizes, kind == "exact" and size == 100 and case == contenders.CASES[0]
-            )
+            row |= errors(truths[case], sizes, kind == "exact" and size == 100 and case == contenders.CASES[0])
     for worker in at_work.values():
         worker.close()
     measured = [row for row in rows.values() if row["times"]]
@@ -90,8 +88,7 @@ def errors(truth: common.Truth, sizes: dict[str, Any], is_reference: bool) -> di
     """Errors of V and A; None where a size is not measured, or is the reference itself."""
     pairs = (("volume", truth.volume), ("lateral_area", truth.lateral_area))
     return {
-        name: common.rms(sizes[name], exact) if name in sizes and not is_reference else None
-        for name, exact in pairs
+        name: common.rms(sizes[name], exact) if name in sizes and not is_reference else None for name, exact in pairs
     }
 
 
@@ -113,9 +110,7 @@ def bars(rows: list[dict[str, Any]]) -> dict[str, tuple[float, float]]:
     return common.BARS | {name: (row["volume"], row["lateral_area"]) for name, row in own.items()}
 
 
-def fastest(
-    rows: list[dict[str, Any]], case: str, bar: str, most: tuple[float, float]
-) -> list[dict[str, Any]]:
+def fastest(rows: list[dict[str, Any]], case: str, bar: str, most: tuple[float, float]) -> list[dict[str, Any]]:
     """The fastest of each kind of ours within a pair of bars, beside the peer's."""
     good = [row for row in rows if row["volume"] <= most[0] and row["lateral_area"] <= most[1]]
     peers = [row for row in good if row["kind"] == "peer"]
@@ -135,21 +130,14 @@ def report(rows: list[dict[str, Any]], met: list[dict[str, Any]]) -> None:
     """Print every row, then who meets which bars at the lowest cost."""
     print(f"{'case':8} {'kind':9} {'threads':8} {'size':>9} {'V %':>8} {'A %':>8} {'ms':>9}")
     for row in rows:
-        marks = [
-            f"{100 * row[key]:8.4f}" if row[key] is not None else 8 * " "
-            for key in ("volume", "lateral_area")
-        ]
+        marks = [f"{100 * row[key]:8.4f}" if row[key] is not None else 8 * " " for key in ("volume", "lateral_area")]
         print(
             f"{row['case']:8} {row['kind']:9} {row['threads']:8} {named(row['size']):>9}",
             f"{marks[0]} {marks[1]} {1e3 * row['seconds']:9.2f}",
         )
     for line in met:
         volume, area = line["errors"]
-        beside = (
-            f"{line['ratio']:.1f} times faster than the peer, s = {line['peer_samples']}"
-            if line["ratio"]
-            else ""
-        )
+        beside = f"{line['ratio']:.1f} times faster than the peer, s = {line['peer_samples']}" if line["ratio"] else ""
         print(
             f"{line['case']}, V {volume:.3%} A {area:.2%}: {line['kind']:8} {line['threads']:5}",
             f"{named(line['size']):>6} {line['ms']:7.2f} ms {beside}",

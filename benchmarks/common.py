@@ -22,13 +22,9 @@ BARS = {"coarse": (0.005, 0.03), "close": (0.0007, 0.01)}  # errors V and A at w
 def options(description: str, name: str, peer: bool = False) -> argparse.ArgumentParser:
     """The options that benchmarks have in common."""
     parser = argparse.ArgumentParser(description=description)
-    parser.add_argument(
-        "--out", type=Path, default=HERE / "results" / f"{name}.json", help="JSON file to write"
-    )
+    parser.add_argument("--out", type=Path, default=HERE / "results" / f"{name}.json", help="JSON file to write")
     if peer:
-        parser.add_argument(
-            "--peer", type=Path, help="folder of the C++ peer's programs, `peer`, `peer_incr`"
-        )
+        parser.add_argument("--peer", type=Path, help="folder of the C++ peer's programs, `peer`, `peer_incr`")
     return parser
 
 

@@ -48,7 +48,7 @@ def from_scratch(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> jt.Ce
 def diagram(case: str, kind: str, size: Any) -> Callable[[], tuple[Any, Any]]:
     """A function that measures V and A (None where it can't) of every cell; its result may still be pending.
 
-    `kept`: by a `Gauge`, on its lists from before; `checked`: these checked first; `complete`: on the longer
+    `kept`: by a `CellMeasurer`, on its lists from before; `checked`: these checked first; `complete`: on the longer
     lists that `scratch` finds anew, all at a resolution. `voxels`: the nearest backbone of every voxel of
     about this width. `exact`: the exact path with so many samples.
     """
@@ -74,9 +74,9 @@ def diagram(case: str, kind: str, size: Any) -> Callable[[], tuple[Any, Any]]:
     elif kind == "scratch":
         measure = partial(from_scratch, place, tube, size)
     else:
-        gauge = jt.Gauge(tube, size)
-        gauge.measure(place)
-        measure = partial(gauge.measure, place, check=kind == "checked")
+        measurer = jt.CellMeasurer(tube, size)
+        measurer.measure(place)
+        measure = partial(measurer.measure, place, check=kind == "checked")
 
     def both() -> tuple[Any, Any]:
         cells = measure()

@@ -44,9 +44,7 @@ def _series(axes: Axes, rows: list[dict[str, Any]], key: str, style: tuple[str, 
     color, marker, label = STYLES[style]
     if not rows:
         return
-    time, error = (
-        np.array([scale * row[name] for row in rows]) for scale, name in ((1e3, "seconds"), (100, key))
-    )
+    time, error = (np.array([scale * row[name] for row in rows]) for scale, name in ((1e3, "seconds"), (100, key)))
     order = np.argsort(time)
     best = order[error[order] <= np.minimum.accumulate(error[order])]
     axes.plot(time, error, marker, ms=4, color=color, alpha=0.35)

@@ -74,9 +74,9 @@ def tissue(cells: int) -> tuple[np.ndarray, jt.Tube]:
 def diagrams(cells: int, peak: float) -> dict[str, Any]:
     """A whole diagram on kept lists: seconds, the fraction of the peak, and the difference to the CPU."""
     place, tube = tissue(cells)
-    gauge = jt.Gauge(tube, DRAFT)
-    gauge.measure(place)
-    near = gauge.sides
+    measurer = jt.CellMeasurer(tube, DRAFT)
+    measurer.measure(place)
+    near = measurer.sides
     assert near is not None
     lines = jt.plan_lines(tube, cells, DRAFT)
 
@@ -155,9 +155,7 @@ def main() -> None:
     parser = common.options((__doc__ or "").split("\n")[0], "gpu")
     parser.add_argument("--cells", type=int, nargs="+", default=CELLS)
     parser.add_argument("--replicas", type=int, nargs="+", default=REPLICAS)
-    parser.add_argument(
-        "--budget", type=float, default=120.0, help="seconds that one size may be expected to take"
-    )
+    parser.add_argument("--budget", type=float, default=120.0, help="seconds that one size may be expected to take")
     arguments = parser.parse_args()
     if jax.default_backend() == "cpu":
         print("no GPU here: this is measured on the CPU")

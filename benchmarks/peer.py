@@ -69,9 +69,7 @@ class Peer:
         row = self._mh(place, tube, samples, sweeps * n, 10 * budget) if sweeps > 1 else trial
         return Sweeps(row["t_step"], row["moves"] // n, row["E_per_cell_after"] * n, None)
 
-    def _mh(
-        self, place: np.ndarray, tube: jt.Tube, samples: int, moves: int, budget: float
-    ) -> dict[str, Any]:
+    def _mh(self, place: np.ndarray, tube: jt.Tube, samples: int, moves: int, budget: float) -> dict[str, Any]:
         extra = ("--variant", 1, "--verify", 0, "--moves", moves, "--budget", budget)
         return self._run("peer_incr", "mh", place, tube, samples, *extra)[0][0]
 
@@ -96,9 +94,5 @@ def find_peer(folder: Path | None) -> Peer | None:
     """The peer in a folder, or None, said aloud: what follows does without."""
     if folder and (folder / "peer").is_file() and (folder / "peer_incr").is_file():
         return Peer(folder)
-    print(
-        f"no C++ peer in {folder}: only ours is measured"
-        if folder
-        else "no --peer given: only ours is measured"
-    )
+    print(f"no C++ peer in {folder}: only ours is measured" if folder else "no --peer given: only ours is measured")
     return None

@@ -28,14 +28,10 @@ RADII = (1.0, 5.0, 2.0, 8.0)
 DRAFT, FINE = jt.PRESETS["draft"], jt.PRESETS["fine"]
 
 
-def made(
-    radius: float, seed: int, resolution: jt.Resolution = DRAFT, algorithm: str = "is-mh", t: float = 2.0
-):
+def made(radius: float, seed: int, resolution: jt.Resolution = DRAFT, algorithm: str = "is-mh", t: float = 2.0):
     """A run of the paper's tube and its start."""
     tube = jt.Tube(100.0, radius, 10.0)
-    run = jt.Annealer(
-        jt.tube_model(tube, CELLS), resolution, algorithm, seed, jt.constant_schedule(t, SWEEPS)
-    )
+    run = jt.Annealer(jt.tube_model(tube, CELLS), resolution, algorithm, seed, jt.constant_schedule(t, SWEEPS))
     return run, run.start(tube.random_positions(jax.random.key(seed), CELLS))
 
 

@@ -31,11 +31,11 @@ def our_diagram(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> dict[s
     begin = time.perf_counter()
     jax.block_until_ready(jt.measure_tissue(place, tube, size, surfaces=False, refine=False))
     scratch = time.perf_counter() - begin
-    gauge = jt.Gauge(tube, size)
-    gauge.measure(place)
+    measurer = jt.CellMeasurer(tube, size)
+    measurer.measure(place)
     for _ in range(5):
         begin = time.perf_counter()
-        sizes = jax.block_until_ready(gauge.measure(place, check=False))
+        sizes = jax.block_until_ready(measurer.measure(place, check=False))
         seconds.append(time.perf_counter() - begin)
     assert sizes
     row = {"sizes": (sizes.volume, sizes.lateral_area)}
@@ -62,15 +62,11 @@ def our_sweeps(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> dict[st
 
 def fine_energy(place: Any, tube: jt.Tube) -> float:
     """The tissue's energy by `fine`."""
-    cells, _ = jt.measure_tissue(
-        jnp.asarray(place, jnp.result_type(float)), tube, jt.PRESETS["fine"], refine=False
-    )
+    cells, _ = jt.measure_tissue(jnp.asarray(place, jnp.result_type(float)), tube, jt.PRESETS["fine"], refine=False)
     return float(np.sum(jt.epithelial_energy(cells, jt.tube_model(tube, len(place))), dtype=float))
 
 
-def peer_row(
-    peer: Peer, place: np.ndarray, tube: jt.Tube, rival: tuple[str, int], budget: float
-) -> dict[str, Any]:
+def peer_row(peer: Peer, place: np.ndarray, tube: jt.Tube, rival: tuple[str, int], budget: float) -> dict[str, Any]:
     """One diagram and some sweeps of the peer."""
     name, samples = rival
     found = peer.diagram(place, tube, samples)
@@ -112,9 +108,7 @@ def race(radius: float, n: int, peer: Peer | None, arguments: Any) -> dict[str, 
 def merged(turns: list[dict[str, Any]]) -> dict[str, Any]:
     """The last turn with the medians of all turns' seconds."""
     timed = ("diagram", "scratch", "sweep", "first_sweep")
-    return turns[-1] | {
-        key: float(np.median([turn[key] for turn in turns])) for key in timed if key in turns[0]
-    }
+    return turns[-1] | {key: float(np.median([turn[key] for turn in turns])) for key in timed if key in turns[0]}
 
 
 def ratios(rows: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
@@ -172,9 +166,7 @@ def main() -> None:
     parser = common.options(__doc__ or "", "race", peer=True)
     parser.add_argument("--quick", action="store_true", help="n = 500 only")
     parser.add_argument("--repeats", type=int, default=3, help="turns of everybody")
-    parser.add_argument(
-        "--budget", type=float, default=5.0, help="seconds for a peer's sweeps, else extrapolated"
-    )
+    parser.add_argument("--budget", type=float, default=5.0, help="seconds for a peer's sweeps, else extrapolated")
     parser.add_argument(
         "--resolutions", nargs="+", default=RESOLUTIONS, help="of ours; energies are those of the first"
     )

@@ -272,9 +272,7 @@ def main() -> None:
     parser = common.options((__doc__ or "").split("\n")[0], "robustness")
     parser.add_argument("--alone", choices=PARTS, help="run one part here and print what was found")
     for name, (_, count) in PARTS.items():
-        parser.add_argument(
-            f"--{name.replace('_', '-')}", type=int, default=count, help=f"{count} unless given"
-        )
+        parser.add_argument(f"--{name.replace('_', '-')}", type=int, default=count, help=f"{count} unless given")
     arguments = parser.parse_args()
     if arguments.alone:
         with tempfile.TemporaryDirectory() as place:

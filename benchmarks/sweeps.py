@@ -61,9 +61,7 @@ def draw(runs: dict[str, dict]) -> Figure:
     for color, (name, result) in zip(("#0072B2", "#D55E00"), runs.items(), strict=True):
         axes.plot(result["draft_energy"], color=color, label=f"$R_a$ = {name}, draft (accepts the moves)")
         fine = result["fine_energy"]
-        axes.plot(
-            list(fine), list(fine.values()), "o", mfc="none", color=color, label=f"$R_a$ = {name}, fine"
-        )
+        axes.plot(list(fine), list(fine.values()), "o", mfc="none", color=color, label=f"$R_a$ = {name}, fine")
     axes.set(
         xlabel="sweep",
         ylabel="tissue energy",

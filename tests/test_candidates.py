@@ -8,7 +8,7 @@ import pytest
 from jaxtissue.compilation import fusion
 from jaxtissue.diagram.exact import exact_cells
 from jaxtissue.dynamics.metropolis import move_bound
-from jaxtissue.dynamics.spans import look
+from jaxtissue.dynamics.spans import survey_state
 from jaxtissue.dynamics.survey import MARGIN
 from jaxtissue.energy import tube_model
 from jaxtissue.geometry.tube import Tube
@@ -20,23 +20,23 @@ from jaxtissue.neighbors.search import (
     contact_graph,
     find_candidates,
     find_defect,
-    least,
-    linked,
-    nearest,
-    padded,
-    sided,
+    lowest_columns,
+    nearest_along_axis,
+    pad_lists,
     spacing,
+    split_by_side,
+    symmetric_graph,
 )
 from jaxtissue.neighbors.shortlists import (
     CANDIDATES,
     STOPS,
     TOUCHES,
     around,
-    both_views,
     distances,
     find_unlisted,
     from_both,
     list_first,
+    mutual_entries,
     nearest_sides,
     sight_lines,
 )
@@ -62,10 +62,10 @@ def looked_at(positions) -> tuple[np.ndarray, np.ndarray]:
     """Candidates, and how clear they are."""
     sides = find_candidates(positions, TUBE, MARGIN * BOUND)
     lines = plan_lines(TUBE, CELLS, PRESETS["draft"]), sight_lines(TUBE, CELLS, PRESETS["draft"])
-    _, clear, _ = jax.jit(look, compiler_options=fusion.options())(
+    _, clear, _ = jax.jit(survey_state, compiler_options=fusion.options())(
         positions, tube_model(TUBE, CELLS), lines, sides
     )
-    return sides, from_both(np.asarray(clear), both_views(sides))
+    return sides, from_both(np.asarray(clear), mutual_entries(sides))
 
 
 def test_distances_are_those_by_which_the_nearest_are_found(tissue) -> None:
@@ -106,11 +106,11 @@ def test_walls_of_some_size_are_contacts_and_candidates(tissue) -> None:
 def test_the_nearest_by_spacing_are_listed() -> None:
     positions = TUBE.random_positions(jax.random.key(5), CELLS)
     place, own = np.asarray(positions, float), np.arange(CELLS)
-    everyone = nearest(positions, TUBE, 2 * CELLS)
+    everyone = nearest_along_axis(positions, TUBE, 2 * CELLS)
     np.testing.assert_array_equal(np.sort(everyone), [np.delete(own, cell) for cell in own])
     scores = spacing(place, own[:, None], own[None], TUBE)
     np.fill_diagonal(scores, np.inf)
-    lists = nearest(positions, TUBE, NEAREST)
+    lists = nearest_along_axis(positions, TUBE, NEAREST)
     assert listed(lists).max() == 1
     found = np.sort(np.take_along_axis(scores, lists, axis=1))
     # float64; of the last few those that lie far along the axis are not looked at
@@ -119,10 +119,10 @@ def test_the_nearest_by_spacing_are_listed() -> None:
 
 def test_sides_are_behind_and_ahead(tissue) -> None:
     positions = tissue[0]
-    lists = nearest(positions, TUBE, 60)
+    lists = nearest_along_axis(positions, TUBE, 60)
     axial, own = np.asarray(positions, float)[:, 0], np.arange(CELLS)[:, None]
     for margin in (0.0, 0.5):
-        sides = sided(lists, positions, TUBE, margin)
+        sides = split_by_side(lists, positions, TUBE, margin)
         wide = max(margin, 2 * LEVEL * TUBE.apical_radius)  # twice the height at which two cells can be level
         for side, sign in ((0, -1), (1, 1)):
             rivals = sides[:, side]
@@ -136,10 +136,10 @@ def test_sides_are_behind_and_ahead(tissue) -> None:
 
 def test_padding_is_the_cell_itself(tissue) -> None:
     sides = tissue[1]
-    wider = padded(sides, sides.shape[2] + 5)
+    wider = pad_lists(sides, sides.shape[2] + 5)
     np.testing.assert_array_equal(wider[..., : sides.shape[2]], sides)
     assert (wider[..., sides.shape[2] :] == np.arange(CELLS)[:, None, None]).all()
-    np.testing.assert_array_equal(padded(sides, 1), sides)
+    np.testing.assert_array_equal(pad_lists(sides, 1), sides)
 
 
 @pytest.mark.parametrize("count", [1, 7, 24, 40])
@@ -148,7 +148,7 @@ def test_the_least_are_those_a_stable_sort_puts_first(count: int) -> None:
     scores = random.choice([TOUCHES, STOPS, 1e-20, 0.5, 1e20, np.inf], size=(30, 2, 33))
     scores = np.where(random.random(scores.shape) < 0.5, scores, random.exponential(size=scores.shape))
     expected = np.argsort(as_compared(scores), axis=2, kind="stable")[..., :count]
-    np.testing.assert_array_equal(np.sort(least(scores, count)), np.sort(expected))
+    np.testing.assert_array_equal(np.sort(lowest_columns(scores, count)), np.sort(expected))
 
 
 def test_pairs_link_both_ways_and_none_with_itself() -> None:
@@ -156,7 +156,7 @@ def test_pairs_link_both_ways_and_none_with_itself() -> None:
     expected = np.zeros((40, 40), bool)
     expected[first, second] = expected[second, first] = True
     np.fill_diagonal(expected, False)
-    graph = linked(first, second, 40)
+    graph = symmetric_graph(first, second, 40)
     np.testing.assert_array_equal(graph.toarray(), expected)
     assert graph.nnz == expected.sum()  # nobody twice
 
@@ -196,7 +196,7 @@ def test_the_clearest_candidates_are_left_out(tissue) -> None:
 
 def test_both_views_of_a_pair_count(tissue) -> None:
     _, sides, _, _, _ = tissue
-    views = both_views(sides)
+    views = mutual_entries(sides)
     cell, side, _ = np.unravel_index(views, sides.shape)
     other = sides.reshape(-1)[views]
     assert (cell[0] == other[1]).all() and (cell[1] == other[0]).all() and (side[0] != side[1]).all()
@@ -228,7 +228,7 @@ def test_few_candidates_do_for_a_while(tissue) -> None:
     step = BOUND * np.stack([np.cos(turn), np.sin(turn) / TUBE.apical_radius], axis=-1)
     moved = TUBE.reflect(positions + step)  # everyone at once by the longest move
     for count, complete in ((CANDIDATES, True), (6, False)):
-        few = jnp.asarray(padded(nearest_sides(sides, clear, count), CANDIDATES))
+        few = jnp.asarray(pad_lists(nearest_sides(sides, clear, count), CANDIDATES))
         assert (find_defect(positions, TUBE, few) < 1e-5) == complete  # float32, as of all candidates
         assert (find_defect(moved, TUBE, few) < 1e-5) == complete
 
@@ -247,7 +247,7 @@ def test_who_comes_to_touch_a_cell_was_among_the_nearest(tissue) -> None:
 
 
 def as_compared(scores: np.ndarray) -> np.ndarray:
-    """Scores as `least` compares them: in single precision less the bits that number the columns."""
+    """Scores as `lowest_columns` compares them: in single precision less the bits that number the columns."""
     columns = (1 << (scores.shape[-1] - 1).bit_length()) - 1
     return (scores.astype(np.float32).view(np.int32) & ~columns).view(np.float32)
 

@@ -11,7 +11,7 @@ from jaxtissue.diagram.exact import exact_cells
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.cells import CellGeometry, measure_cells
 from jaxtissue.measurement.quadrature import PRESETS, REACH, plan_lines
-from jaxtissue.neighbors.search import TILES, find_candidates, find_defect, sided
+from jaxtissue.neighbors.search import TILES, find_candidates, find_defect, split_by_side
 from jaxtissue.tissue.measurer import measure_tissue
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
@@ -39,7 +39,7 @@ def measure_among_all(positions, tube: Tube, preset: str = "standard") -> CellGe
     everyone = np.broadcast_to(np.arange(len(positions), dtype=np.int32), (len(positions),) * 2)
     lines = plan_lines(tube, len(positions), PRESETS[preset], REACH, surfaces=True)
     return jax.jit(measure_cells, compiler_options=fusion.options())(
-        positions, tube, lines, sided(everyone, positions, tube)
+        positions, tube, lines, split_by_side(everyone, positions, tube)
     )[0]
 
 

@@ -29,9 +29,7 @@ def times(turns=3):
     table |= {"mh_seconds": table["whole_seconds"], "covering_radius": 7 + 0 * table["cells"]}
     table |= {f"{rule}_seconds": table["near_seconds"] for rule in RULES}
     table |= {f"{rule}_{what}": table["near_rounds"] for rule in RULES for what in ("rounds", "sets")}
-    table |= {f"{rule}_put_off": 0.03 + 0 * table["cells"] for rule in RULES} | {
-        "tightness": 3 * table["cells"]
-    }
+    table |= {f"{rule}_put_off": 0.03 + 0 * table["cells"] for rule in RULES} | {"tightness": 3 * table["cells"]}
     shown = [name for name in table if name.endswith("seconds") or name in ("apical_radius", "cells")]
     return {
         "table1": table,
@@ -48,9 +46,7 @@ def runs(start=320_000.0, tightness=3.0):
     columns = {name: np.repeat([row[i] for row in rows], len(sweep)) for i, name in
                enumerate(("apical_radius", "algorithm", "seed"))}  # fmt: skip
     columns |= {"sweep": np.tile(sweep, len(rows)), "energy": np.concatenate(energy)}
-    return columns | {
-        name: np.full(len(columns["sweep"]), tightness) for name in ("covering_radius", "tightness")
-    }
+    return columns | {name: np.full(len(columns["sweep"]), tightness) for name in ("covering_radius", "tightness")}
 
 
 def ratios(low=5.6, high=10.5, internal=1.0):
@@ -67,9 +63,7 @@ def ratios(low=5.6, high=10.5, internal=1.0):
     table |= {"tightness": 30 + 0 * rise, "covering_radius": 7 + 0 * rise}
     table |= {"internal_neighbors": internal * rise, "apical_basal_neighbors": 5.5 * (1 - rise) + 1}
     table |= {f"{kind}_neighbors": 0.2 + 4 * rise for kind in ("apical", "basal")}
-    table |= {
-        f"{bound}_hops_{hops}": 0.1 * hops + 0 * rise for bound, hops in (("lemma_2", 1), ("corollary_1", 2))
-    }
+    table |= {f"{bound}_hops_{hops}": 0.1 * hops + 0 * rise for bound, hops in (("lemma_2", 1), ("corollary_1", 2))}
     for threshold in THRESHOLDS[1:]:
         for name in ("neighbors", "internal_fraction", *(f"{kind}_neighbors" for kind in KIND_ORDER)):
             table[f"{name}_above_{100 * threshold:g}"] = table[name] * (1 - threshold)
@@ -89,8 +83,7 @@ def test_the_papers_table_meets_the_paper():
     assert {found[says] for says in seconds} == {NOT_COMPARABLE} and len(seconds) == 2
     assert {verdict for says, verdict in found.items() if says not in seconds} == {MET}
     one = {
-        name: {key: column[table["cells"] == 100] for key, column in table.items()}
-        for name, table in times().items()
+        name: {key: column[table["cells"] == 100] for key, column in table.items()} for name, table in times().items()
     }
     found = verdicts("table1", one)
     assert found[SAVES] == NOT_COMPARABLE
@@ -104,14 +97,10 @@ def test_a_time_must_hold_in_every_turn(slow, verdict):
     worse = np.isin(turns["turn"], slow) & (turns["apical_radius"] == 5) & (turns["cells"] == 500)
     turns["near_seconds"] = np.where(worse, 1000, 1) * turns["near_seconds"]
     found = verdicts("table1", tables)
-    assert (
-        found["IS-MH is faster than classical MH"] == found["IS-MH is faster at R_a = 5 than at 1"] == verdict
-    )
+    assert found["IS-MH is faster than classical MH"] == found["IS-MH is faster at R_a = 5 than at 1"] == verdict
     loaded = times()  # a load that lasts a turn slows all alike, and changes no verdict
     column = loaded["table1_turns"]
-    column |= {
-        name: values * (1 + 9 * (column["turn"] == 1)) for name, values in column.items() if "sec" in name
-    }
+    column |= {name: values * (1 + 9 * (column["turn"] == 1)) for name, values in column.items() if "sec" in name}
     assert verdicts("table1", loaded) == verdicts("table1", times())
 
 
@@ -230,9 +219,7 @@ def test_a_tissue_without_plateau_does_not_meet_the_papers_figures():
     assert verdicts("fig12", {"fig12": scattered})[most] == NOISY
     broken = table | {"lemma_2_hops_1": 1.5 + 0 * table["ratio"]}
     assert (
-        verdicts("fig12", {"fig12": broken})[
-            "Lemmas 1 and 2 and Corollary 1 bound the numbers of neighbors by phi"
-        ]
+        verdicts("fig12", {"fig12": broken})["Lemmas 1 and 2 and Corollary 1 bound the numbers of neighbors by phi"]
         == NOT_MET
     )
     few = {name: column[np.isin(table["ratio"], [1.25, 10])] for name, column in table.items()}

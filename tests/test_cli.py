@@ -131,9 +131,7 @@ def test_the_manifest_tells_how_the_run_was_made(annealed):
         3,
         50,
     )
-    assert (
-        arguments["temperature"] == 2 and arguments["tension"] == 0.4 and arguments["resolution"] == "draft"
-    )
+    assert arguments["temperature"] == 2 and arguments["tension"] == 0.4 and arguments["resolution"] == "draft"
     assert manifest["versions"].keys() >= {"jaxtissue", "jax", "jaxlib", "numpy", "scipy", "python"}
     assert manifest["dtype"] == "float32" and manifest["device"] and manifest["platform"]
     assert manifest["started"] <= manifest["finished"] and manifest["compile_seconds"] > 0
@@ -210,11 +208,7 @@ def test_a_signal_ends_the_span_saves_and_leaves(annealed, tmp_path, monkeypatch
         assert main([*LONG, "--out", str(folder)]) == 128 + number
     error = capsys.readouterr().err
     assert f"stopped by {number.name} after sweep 40 of 50" in error and "--resume" in error
-    assert (
-        storage.load_checkpoint(folder / "checkpoint.npz").state.sweep
-        == 40
-        == count_rows(folder / "sweeps.csv") - 1
-    )
+    assert storage.load_checkpoint(folder / "checkpoint.npz").state.sweep == 40 == count_rows(folder / "sweeps.csv") - 1
     assert not list(folder.glob(".*")) and not (folder / "backbones.csv").exists()
     assert main(["anneal", "--out", str(folder), "--resume"]) == 0
     assert same_run(folder, annealed)
@@ -223,10 +217,7 @@ def test_a_signal_ends_the_span_saves_and_leaves(annealed, tmp_path, monkeypatch
 
 def test_sweeps_may_grow(tmp_path):
     folder = tmp_path / "run"
-    assert (
-        main([*SMALL, "--final-temperature", "0.5", "--sweeps", "4", "--no-contacts", "--out", str(folder)])
-        == 0
-    )
+    assert main([*SMALL, "--final-temperature", "0.5", "--sweeps", "4", "--no-contacts", "--out", str(folder)]) == 0
     before = without_seconds(folder / "sweeps.csv")
     assert main(["anneal", "--sweeps", "7", "--out", str(folder), "--resume"]) == 0
     after = without_seconds(folder / "sweeps.csv")
@@ -243,9 +234,7 @@ def test_a_users_backbones_are_annealed_under_their_names(annealed, tmp_path):
     run = ["anneal", *SIZES, "--backbones", str(path), "--out", str(folder)]
     assert main([*run, "--sweeps", "2"]) == 0
     cells, initial = read_table(folder / "cells.csv"), read_table(folder / "initial_backbones.csv")
-    assert [row["cell"] for row in cells] == [str(k) for k in range(16)] and [
-        row["name"] for row in cells
-    ] == names
+    assert [row["cell"] for row in cells] == [str(k) for k in range(16)] and [row["name"] for row in cells] == names
     assert ",".join(cells[0]) == f"{SIZE_COLUMNS},{CONTACT_COLUMNS},name"
     assert [row["cell"] for row in read_table(folder / "backbones.csv")] == names
     assert column(initial, "axial").tolist() == axial.tolist()
@@ -267,9 +256,7 @@ def write_reference(reference, path):
 def test_measure_meets_the_reference(load_reference, tmp_path, capsys):
     reference = load_reference("ratio10_n100")
     data = reference.data
-    assert (
-        main(["measure", *write_reference(reference, tmp_path / "b.csv"), "--out", str(tmp_path / "m")]) == 0
-    )
+    assert main(["measure", *write_reference(reference, tmp_path / "b.csv"), "--out", str(tmp_path / "m")]) == 0
     rows, summary = (
         read_table(tmp_path / "m" / "cells.csv"),
         json.loads((tmp_path / "m" / "summary.json").read_text()),
@@ -362,8 +349,8 @@ def test_small_contacts_are_left_out_and_old_tables_removed(annealed, tmp_path):
 
 
 def test_lost_edges_are_told(annealed, tmp_path, monkeypatch):
-    def careless(leads):
-        graph, tied, lost = trace(leads)
+    def careless(bisectors):
+        graph, tied, lost = trace(bisectors)
         return graph._replace(open_ends=3), tied, lost
 
     trace = edges._trace
@@ -390,9 +377,7 @@ def test_cells_at_the_ends_are_marked(annealed):
     cells = read_table(annealed / "cells.csv")
     marked = {k for k, row in enumerate(cells) if row["is_end"] == "True"}
     x, t = column(cells, "axial"), column(cells, "angle")
-    radius, angle = (
-        grid[..., None] for grid in np.meshgrid(np.linspace(2, 4, 25), np.linspace(0, 2 * np.pi, 181))
-    )
+    radius, angle = (grid[..., None] for grid in np.meshgrid(np.linspace(2, 4, 25), np.linspace(0, 2 * np.pi, 181)))
     foot = np.clip(radius * np.cos(angle - t), 2, 4)
     across = radius**2 + foot**2 - 2 * radius * foot * np.cos(angle - t)
     owners = {int(k) for end in (0, 12) for k in np.unique(((x - end) ** 2 + across).argmin(axis=-1))}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.topology.bisectors import Leads
+from jaxtissue.topology.bisectors import Bisectors
 from jaxtissue.topology.contacts import KINDS, find_contacts
 from jaxtissue.topology.edges import EdgeGraph, _trace, trace_edges
 from jaxtissue.topology.transitions import find_forms, find_transitions
@@ -41,9 +41,7 @@ def edges(reference) -> EdgeGraph:
 def test_contacts_agree_with_the_reference(reference, edges):
     contacts = find_contacts(reference.positions, reference.tube, edges=edges)
     data = reference.data
-    expected = {
-        (int(a), int(b)): kind for kind, key in PAIRS.items() for a, b in np.sort(data[key].reshape(-1, 2))
-    }
+    expected = {(int(a), int(b)): kind for kind, key in PAIRS.items() for a, b in np.sort(data[key].reshape(-1, 2))}
     if reference.name == "n2":  # one wall round the lumen: the reference lists it as a pair without a kind
         expected = {(0, 1): "apical_basal"}
     found = dict(zip(map(tuple, contacts.pairs.tolist()), contacts.kind.tolist(), strict=True))
@@ -166,7 +164,7 @@ def test_few_cells_are_complete(cells):
 def test_short_steps_find_nothing_more():
     # what a step could cross and cross back, a quarter of it would not
     positions, tube, edges = random_tissue(200)
-    careful, *_ = _trace(Leads(positions, tube, 4.0))
+    careful, *_ = _trace(Bisectors(positions, tube, 4.0))
     for found, again in (
         (edges.vertex_labels, careful.vertex_labels),
         (edges.edge_labels, careful.edge_labels),
@@ -228,9 +226,7 @@ def test_turning_mirroring_scaling_and_renaming_change_nothing():
     np.testing.assert_array_equal(renamed[row], contacts.pairs)
     np.testing.assert_array_equal(other.kind[row], contacts.kind)
     # edges bend where feet reach the apical end, and the quadrature there depends on where it is cut
-    np.testing.assert_allclose(
-        other.area[row], 2.5**2 * contacts.area, atol=1e-5 * 2.5**2 * contacts.area.mean()
-    )
+    np.testing.assert_allclose(other.area[row], 2.5**2 * contacts.area, atol=1e-5 * 2.5**2 * contacts.area.mean())
 
 
 def test_threshold_leaves_out_small_walls():

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from jaxtissue.diagram.exact import exact_cells
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.topology import edges
-from jaxtissue.topology.bisectors import Leads
+from jaxtissue.topology.bisectors import Bisectors
 from jaxtissue.topology.contacts import find_contacts
 from jaxtissue.topology.edges import _trace, trace_edges
 from jaxtissue.topology.statistics import Connectivity, find_connectivity
@@ -174,8 +174,8 @@ def test_parts_at_the_ends_are_counted(number, two, lines):
 
 
 def test_open_ends_are_said(monkeypatch):
-    def careless(leads: Leads) -> tuple:
-        graph, tied, lost = trace(leads)
+    def careless(bisectors: Bisectors) -> tuple:
+        graph, tied, lost = trace(bisectors)
         return graph._replace(open_ends=2), tied, lost
 
     places, tube, trace = lattice(2, 3, 0.5), Tube(2, 1, 2), _trace

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxtissue import PRESETS, Gauge, Resolution, Tube, measure_tissue
+from jaxtissue import PRESETS, CellMeasurer, Resolution, Tube, measure_tissue
 from jaxtissue.neighbors.search import TILES, find_defect
 from jaxtissue.neighbors.shortlists import CANDIDATES
 
@@ -42,50 +42,48 @@ def test_surfaces_are_measured_unless_left_out(positions) -> None:
 def test_a_gauge_sees_all_round_a_wide_tube() -> None:
     tube, cells = Tube(40.0, 40.0, 48.0), 800  # 70 cells round, where 16 lines would miss most
     place, random = np.array(tube.random_positions(jax.random.key(0), cells)), np.random.default_rng(0)
-    gauge = Gauge(tube, PRESETS["draft"])
-    gauge.measure(place)
+    measurer = CellMeasurer(tube, PRESETS["draft"])
+    measurer.measure(place)
     for _ in range(3):  # by an eighth of a cell's width
         step = random.normal(scale=0.45, size=place.shape) / [1, 40]
         place = np.array(tube.reflect((place + step).astype(np.float32)))
-        found = gauge.measure(place)
-        assert (
-            off(found, measure_tissue(place, tube, PRESETS["draft"], surfaces=False, refine=False)[0]) < 2e-3
-        )
-    assert gauge.renewals > 1
+        found = measurer.measure(place)
+        assert off(found, measure_tissue(place, tube, PRESETS["draft"], surfaces=False, refine=False)[0]) < 2e-3
+    assert measurer.num_rebuilds > 1
 
 
 def test_a_gauge_measures_a_tissue_that_moves_as_from_scratch(positions) -> None:
-    gauge, place, random = Gauge(TUBE, PRESETS["draft"]), positions.copy(), np.random.default_rng(0)
+    measurer, place, random = CellMeasurer(TUBE, PRESETS["draft"]), positions.copy(), np.random.default_rng(0)
     for step in range(6):
-        found = gauge.measure(place)
+        found = measurer.measure(place)
         expected, _ = measure_tissue(place, TUBE, PRESETS["draft"], surfaces=False, refine=False)
         assert off(found, expected) < 2e-5, step  # float32; candidates compared are others
         place = place + random.normal(scale=0.03, size=place.shape).astype(np.float32)
         place[:, 0] = place[:, 0].clip(0, 60)
-    assert gauge.renewals < 6  # lists were kept at least once
+    assert measurer.num_rebuilds < 6  # lists were kept at least once
 
 
 def test_a_gauge_renews_lists_that_no_longer_hold(positions) -> None:
-    gauge = Gauge(TUBE, PRESETS["draft"])
-    gauge.measure(positions)
+    measurer = CellMeasurer(TUBE, PRESETS["draft"])
+    measurer.measure(positions)
     mirrored = np.stack([60 - positions[:, 0], positions[::-1, 1]], axis=1)  # everyone has other neighbors
-    blind = gauge.measure(mirrored, check=False)
+    blind = measurer.measure(mirrored, check=False)
     expected, _ = measure_tissue(mirrored, TUBE, PRESETS["draft"], surfaces=False, refine=False)
-    assert off(blind, expected) > 0.1 and gauge.renewals == 1
-    assert off(gauge.measure(mirrored), expected) < 2e-5 and gauge.renewals == 2
+    assert off(blind, expected) > 0.1 and measurer.num_rebuilds == 1
+    assert off(measurer.measure(mirrored), expected) < 2e-5 and measurer.num_rebuilds == 2
     fewer = positions[: CELLS // 2]
-    assert off(gauge.measure(fewer), measure_tissue(fewer, TUBE, PRESETS["draft"], refine=False)[0]) < 2e-5
-    assert gauge.renewals == 3
+    assert off(measurer.measure(fewer), measure_tissue(fewer, TUBE, PRESETS["draft"], refine=False)[0]) < 2e-5
+    assert measurer.num_rebuilds == 3
 
 
 def test_lists_kept_lack_nobody_where_many_bound_a_cell() -> None:
     ring = np.stack([np.full(40, 30.0), 2 * np.pi * np.arange(40) / 40], axis=1)
     lone = np.array([[10.0, 1.0], [50.0, 4.0]])  # each bounded by the whole ring
     place = np.concatenate([ring, lone]).astype(np.float32)
-    gauge = Gauge(TUBE, Resolution(3, 3))
-    found = gauge.measure(place)
-    assert find_defect(place, TUBE, gauge.sides) < TILES
-    assert gauge.sides.shape[2] == 2 * CANDIDATES  # each of the ring and some more: few shapes
+    measurer = CellMeasurer(TUBE, Resolution(3, 3))
+    found = measurer.measure(place)
+    assert find_defect(place, TUBE, measurer.sides) < TILES
+    assert measurer.sides.shape[2] == 2 * CANDIDATES  # each of the ring and some more: few shapes
     assert off(found, measure_tissue(place, TUBE, Resolution(3, 3), refine=False)[0]) < 2e-5
 
 
@@ -107,11 +105,11 @@ def test_level_cells_are_right_where_lines_miss_them() -> None:
 @pytest.mark.parametrize("bad", [[np.nan, 1.0], [10.0, np.inf], [60.1, 1.0], [-0.1, 1.0]])
 def test_positions_that_are_none_are_named(bad: list[float], positions) -> None:
     place = positions.copy()
-    gauge = Gauge(TUBE, PRESETS["draft"])
-    gauge.measure(place)
+    measurer = CellMeasurer(TUBE, PRESETS["draft"])
+    measurer.measure(place)
     place[7] = bad
     named = r"backbone 7: a\w+=\S+ is (not a finite number|outside the tube)"
-    for measure in (gauge.measure, lambda place: measure_tissue(place, TUBE, PRESETS["draft"])):
+    for measure in (measurer.measure, lambda place: measure_tissue(place, TUBE, PRESETS["draft"])):
         with pytest.raises(ValueError, match=named):
             measure(place)
 
@@ -122,7 +120,7 @@ import quick; quick.compile_as_asked()
 import jax, numpy as np, jaxtissue as jt
 place, tube = jax.device_put(np.load({place!r}), jax.devices()[-1]), jt.Tube(60.0, 1.0, 8.0)
 cells, _ = jt.measure_tissue(place, tube, jt.PRESETS["draft"], refine=False)
-kept = jt.Gauge(tube, jt.PRESETS["draft"]).measure(place)
+kept = jt.CellMeasurer(tube, jt.PRESETS["draft"]).measure(place)
 assert cells.volume.shape == kept.volume.shape == (181,)
 assert len(cells.volume.devices()) == len(jax.devices()) == 3
 np.savez({path!r}, *map(np.asarray, jax.tree.leaves((cells, kept))))
@@ -131,7 +129,7 @@ np.savez({path!r}, *map(np.asarray, jax.tree.leaves((cells, kept))))
 
 def test_cells_shared_out_among_devices_are_those_of_one(positions, tmp_path) -> None:
     cells, _ = measure_tissue(positions, TUBE, PRESETS["draft"], refine=False)
-    kept = Gauge(TUBE, PRESETS["draft"]).measure(positions)
+    kept = CellMeasurer(TUBE, PRESETS["draft"]).measure(positions)
     path, place = str(tmp_path / "shared.npz"), str(tmp_path / "place.npy")
     np.save(place, positions)
     script = SCRIPT.format(tests=str(Path(__file__).parent), path=path, place=place)

@@ -117,9 +117,7 @@ def test_energies_that_overflow_or_vanish_name_x64() -> None:
 
 def test_an_energy_that_turns_infinite_is_told() -> None:
     model = tube_model(TUBE, 3)
-    with pytest.raises(
-        ValueError, match=r"epithelial_energy is inf in float32 \(mean_volume=31.4159, modu.*--x64"
-    ):
+    with pytest.raises(ValueError, match=r"epithelial_energy is inf in float32 \(mean_volume=31.4159, modu.*--x64"):
         require_finite(np.array([1, np.inf], np.float32), model)
     require_finite(np.ones(3, np.float32), model)
 

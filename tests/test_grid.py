@@ -69,8 +69,7 @@ def same_grid(folder: Path, whole: Path) -> bool:
     assert without_seconds(folder / "table.csv") == without_seconds(whole / "table.csv")
     assert sorted(path.name for path in (folder / "backbones").iterdir()) == names
     return all(
-        (folder / "backbones" / name).read_bytes() == (whole / "backbones" / name).read_bytes()
-        for name in names
+        (folder / "backbones" / name).read_bytes() == (whole / "backbones" / name).read_bytes() for name in names
     )
 
 
@@ -247,9 +246,7 @@ def test_a_grid_grows_and_keeps_its_rows(whole, tmp_path, monkeypatch, capsys) -
     assert main(more) == 0 and same_grid(folder, whole)
     assert done == [(0.5, 1), (2.0, 0), (2.0, 1), (0.5, 0)]
     manifest = read_sealed(folder / "manifest.json", "")
-    assert (
-        manifest["rows"] == 4 and manifest["finished"] and manifest["grown"][0]["axes"] == ["ratio", "seed"]
-    )
+    assert manifest["rows"] == 4 and manifest["finished"] and manifest["grown"][0]["axes"] == ["ratio", "seed"]
 
 
 def test_a_part_that_is_under_way_is_refused(whole, tmp_path, capsys) -> None:

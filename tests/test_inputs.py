@@ -74,13 +74,13 @@ def test_whole_numbers_are_measured_as_floats():
     exact = jt.exact_cells(FLOATS, TUBE, 50)
     np.testing.assert_allclose(right.volume, exact.volume, rtol=1e-4)
     np.testing.assert_allclose(right.lateral_area, exact.lateral_area, rtol=3e-3)  # samples, the exact path
-    gauge = jt.Gauge(TUBE, "draft")
-    kept = gauge.measure(FLOATS).volume
+    measurer = jt.CellMeasurer(TUBE, "draft")
+    kept = measurer.measure(FLOATS).volume
     for kind in ("i8", "u1", "f2", ">f8", "list", "frame"):
         cells, _ = jt.measure_tissue(KINDS[kind], TUBE, "draft", surfaces=False)
         for column, same in zip(jax.tree.leaves(cells), jax.tree.leaves(right), strict=True):
             np.testing.assert_array_equal(column, same)
-        np.testing.assert_array_equal(gauge.measure(KINDS[kind]).volume, kept)
+        np.testing.assert_array_equal(measurer.measure(KINDS[kind]).volume, kept)
 
 
 def test_all_functions_take_whole_numbers_and_frames():
@@ -128,7 +128,7 @@ BAD = {
 }
 TAKERS = {
     "measure_tissue": lambda place: jt.measure_tissue(place, TUBE),
-    "Gauge": lambda place: jt.Gauge(TUBE).measure(place),
+    "CellMeasurer": lambda place: jt.CellMeasurer(TUBE).measure(place),
     "find_connectivity": lambda place: jt.find_connectivity(place, TUBE),
     "find_contacts": lambda place: jt.find_contacts(place, TUBE),
     "find_transitions": lambda place: jt.find_transitions(place, TUBE),
@@ -220,9 +220,7 @@ def test_traced_positions_pass(x64):
         jax.jit(jt.separation)(place[:, :1], TUBE)
 
 
-@pytest.mark.parametrize(
-    "sizes", [(20, 1, 3), (np.int8(20), np.uint8(1), np.float16(3)), (20, np.array(1), 3.0)]
-)
+@pytest.mark.parametrize("sizes", [(20, 1, 3), (np.int8(20), np.uint8(1), np.float16(3)), (20, np.array(1), 3.0)])
 def test_sizes_of_tubes_are_floats(sizes):
     tube = jt.Tube(*sizes)
     assert all(type(size) is float for size in (tube.length, tube.apical_radius, tube.basal_radius))
@@ -274,12 +272,10 @@ def test_resolutions_are_given_as_any_of_these(given):
 def test_presets_are_taken_by_name():
     tube, place = jt.Tube(20, 1, 3), FLOATS
     sizes = [jt.PRESETS["draft"], "draft", "4x4"]
-    same, *others = (
-        jt.measure_tissue(place, tube, size, surfaces=False, refine=False)[0].volume for size in sizes
-    )
+    same, *others = (jt.measure_tissue(place, tube, size, surfaces=False, refine=False)[0].volume for size in sizes)
     for other in others:
         np.testing.assert_array_equal(other, same)
-    assert jt.Gauge(tube, "fine").resolution == jt.PRESETS["fine"]
+    assert jt.CellMeasurer(tube, "fine").resolution == jt.PRESETS["fine"]
     run = jt.Annealer(jt.tube_model(tube, 6), "standard", "mh", 0, jt.constant_schedule(1.0, 1))
     assert run.resolution == jt.PRESETS["standard"]
     assert jt.plan_lines(tube, 6, "8x12").half == jt.plan_lines(tube, 6, jt.Resolution(8, 12)).half

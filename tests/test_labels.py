@@ -33,9 +33,7 @@ def points_of(tube: Tube, count: int = 4000) -> np.ndarray:
     axial, share, angle = rng.uniform([-0.1, 0, 0], [1.1, 1.3, ROUND], (count, 3)).T
     axial[: count // 8] = np.round(axial[: count // 8])
     radius = tube.apical_radius + share * (tube.basal_radius - tube.apical_radius)
-    radius[count // 4 : count // 2] = np.where(
-        rng.random(count // 4) < 0.5, tube.apical_radius, tube.basal_radius
-    )
+    radius[count // 4 : count // 2] = np.where(rng.random(count // 4) < 0.5, tube.apical_radius, tube.basal_radius)
     radius[count // 2 : 5 * count // 8] *= rng.uniform(0, 1, count // 8)
     points = np.stack([axial * tube.length, radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
     return np.concatenate([points, points[:100]])

@@ -28,9 +28,7 @@ def tissue():
 def test_cells_are_the_same_to_the_bit(tissue, light: bool) -> None:
     positions, sides, lines = tissue
     plain, ours = (
-        jax.jit(lambda *arguments: measure_cells(*arguments)[0], compiler_options=told)(
-            positions, TUBE, lines, sides
-        )
+        jax.jit(lambda *arguments: measure_cells(*arguments)[0], compiler_options=told)(positions, TUBE, lines, sides)
         for told in ({}, options(light))
     )
     for name in ("volume", "lateral_area"):

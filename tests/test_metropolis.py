@@ -12,16 +12,17 @@ from jaxtissue.compilation.fusion import options
 from jaxtissue.dynamics.annealer import SPAN, Annealer
 from jaxtissue.dynamics.coloring import color, hop_conflicts
 from jaxtissue.dynamics.independent_sets import CAPACITY, padded_orders
+from jaxtissue.dynamics.local_updates import Scene
 from jaxtissue.dynamics.metropolis import draw, move_bound, propose
 from jaxtissue.dynamics.schedules import constant_schedule
 from jaxtissue.dynamics.spans import play
-from jaxtissue.dynamics.sweep_log import shortlisted
+from jaxtissue.dynamics.sweep_log import shortlist_neighbors
 from jaxtissue.energy import tube_model
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.axial_lines import posts
+from jaxtissue.measurement.axial_lines import backbone_coords
 from jaxtissue.measurement.cells import measure_cells
 from jaxtissue.measurement.quadrature import PRESETS
-from jaxtissue.neighbors.search import padded, sided
+from jaxtissue.neighbors.search import pad_lists, split_by_side
 
 CELLS = 300
 TUBE = Tube(length=60.0, apical_radius=1.0, basal_radius=10.0)
@@ -36,7 +37,7 @@ class Bench:
         self.start = self.annealer.start(TUBE.random_positions(jax.random.key(1), CELLS))
         measured, plan = run_together([self.annealer._measure(self.start), self.annealer._rounds(self.start)])
         self.lines = self.annealer._lines(self.start)
-        self.near = shortlisted(measured.sides, measured.clear, 0)
+        self.near = shortlist_neighbors(measured.sides, measured.clear, 0)
         self.tissue = measured.tissue
         self.width = plan[0].shape[1]  # so that all share the run's program
         self.rounds = color(hop_conflicts(measured.contacts(), 3), self.width)
@@ -49,8 +50,8 @@ class Bench:
         orders, temperatures = padded_orders(plan, SPAN, self.near), np.full(SPAN, temperature)
         draws, tissue = np.zeros((SPAN, 3, CELLS)), tissue or self.tissue
         draws[0] = draw(seed, 0, CELLS, draws.dtype)
-        rules = self.annealer.model, temperatures, self.near, orders, self.lines
-        ((after, trail),) = run_together([ask(play, draws, tissue, *rules)])
+        scene = Scene(self.annealer.model, self.near, self.lines)
+        ((after, trail),) = run_together([ask(play, draws, tissue, scene, temperatures, orders)])
         return after, jax.tree.map(lambda leaf: leaf[0], trail.info)
 
     def play(self, state, sweeps: int, plan=None):
@@ -65,7 +66,7 @@ class Bench:
     def energy(self, positions) -> float:
         """Measured afresh, everyone a candidate of everyone."""
         everyone = np.broadcast_to(np.arange(CELLS, dtype=np.int32), (CELLS, CELLS))
-        sides = padded(sided(everyone, positions, TUBE), CELLS + 8)  # one shape for all
+        sides = pad_lists(split_by_side(everyone, positions, TUBE), CELLS + 8)  # one shape for all
         cells, _ = self.measure(jnp.asarray(positions), self.annealer.model.tube, self.lines, sides)
         model = self.annealer.model
         return float(model.cell_energy(cells, model).sum())
@@ -161,7 +162,7 @@ def test_proposals_are_uniform_in_the_apical_disc_and_reflected() -> None:
     model = tube_model(TUBE, count)
     bound = float(move_bound(model, count))
     assert bound == pytest.approx(0.25 * np.sqrt(2 * np.pi * 1 * 60 / count / np.pi))
-    middle = posts(jnp.tile(jnp.array([30.0, 3.0]), (count, 1)))
+    middle = backbone_coords(jnp.tile(jnp.array([30.0, 3.0]), (count, 1)))
     to = propose(draw(2, 0, count, np.dtype(np.float32))[:2], middle, model)
     along, turn = np.asarray(to.axial, float) - 30, np.asarray(to.angle, float) - 3
     square, direction = (along**2 + turn**2) / bound**2, np.arctan2(turn, along)
@@ -169,7 +170,7 @@ def test_proposals_are_uniform_in_the_apical_disc_and_reflected() -> None:
     # fixed seed; a fair draw fails one test in a thousand
     assert stats.kstest(square, "uniform").pvalue > 1e-3
     assert stats.kstest(direction / (2 * np.pi) + 0.5, "uniform").pvalue > 1e-3
-    ends = posts(jnp.stack([jnp.tile(jnp.array([0.0, 60.0]), count // 2), jnp.zeros(count)], axis=-1))
+    ends = backbone_coords(jnp.stack([jnp.tile(jnp.array([0.0, 60.0]), count // 2), jnp.zeros(count)], axis=-1))
     to = propose(draw(3, 0, count, np.dtype(np.float32))[:2], ends, model)
     axial, angle = np.asarray(to.axial), np.asarray(to.angle)
     assert axial.min() >= 0 and axial.max() <= 60 and angle.min() >= 0 and angle.max() < 2 * np.pi

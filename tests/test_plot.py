@@ -68,17 +68,13 @@ def test_a_surface_is_labeled_by_the_nearest_backbone(surface, radius):
     foot = np.linspace(2, 5, 3001)
     for i, j in [(0, 0), (39, 35), (17, 5), (25, 30), (8, 20)]:
         axial, turn = (i + 0.5) / 2, np.radians(10 * j + 5) - angle
-        square = (axial - x) ** 2 + (
-            radius**2 + foot[:, None] ** 2 - 2 * radius * foot[:, None] * np.cos(turn)
-        )
+        square = (axial - x) ** 2 + (radius**2 + foot[:, None] ** 2 - 2 * radius * foot[:, None] * np.cos(turn))
         assert labels[i, j] == square.min(axis=0).argmin()
 
 
 def test_surfaces_are_mapped_before_and_after():
     volume = np.linspace(0.5, 1.5, 12)
-    figure, axes = plot_surfaces(
-        TUBE, (Tissue("before", POSITIONS, volume), Tissue("after", POSITIONS, volume))
-    )
+    figure, axes = plot_surfaces(TUBE, (Tissue("before", POSITIONS, volume), Tissue("after", POSITIONS, volume)))
     assert [[panel.get_title() for panel in row] for row in axes] == [
         ["basal surface, before", "basal surface, after"],
         ["apical surface, before", "apical surface, after"],

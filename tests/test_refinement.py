@@ -54,9 +54,7 @@ def errors(cells: CellGeometry, volume: np.ndarray, area: np.ndarray) -> np.ndar
 def estimates(cells: CellGeometry, volume: np.ndarray, area: np.ndarray) -> np.ndarray:
     """The errors that come with the cells, likewise."""
     told = (cells.volume_error, cells.lateral_area_error)
-    return np.stack(
-        [np.asarray(t, float) / max(e.mean(), 1e-9) for t, e in zip(told, (volume, area), strict=True)]
-    )
+    return np.stack([np.asarray(t, float) / max(e.mean(), 1e-9) for t, e in zip(told, (volume, area), strict=True)])
 
 
 @pytest.mark.parametrize("case", AWKWARD)
@@ -136,7 +134,5 @@ def test_what_is_doubtful_is_named() -> None:
     assert message.startswith("the volume of") and f"cells {worst} (" in message
     (message,) = doubts(eqx.tree_at(lambda c: c.volume, cells, cells.volume * 0.9), tube, LIMITS)
     assert "add up to 0.9" in message
-    (message,) = doubts(
-        eqx.tree_at(lambda c: c.lateral_area, cells, cells.lateral_area * np.nan), tube, LIMITS
-    )
+    (message,) = doubts(eqx.tree_at(lambda c: c.lateral_area, cells, cells.lateral_area * np.nan), tube, LIMITS)
     assert "lateral area of 6 of 6" in message

@@ -106,10 +106,7 @@ def test_what_was_finished_before_a_stop_is_kept(tmp_path, monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             reproduce.reproduce(tmp_path / "out", items, QUICK)
         (tmp_path / "out/data").mkdir(exist_ok=True)  # as an item that is stopped leaves it
-    assert (
-        calls == ["stopped", "made", "stopped", "stopped"]
-        and "Fig. 7" in (tmp_path / "out/report.md").read_text()
-    )
+    assert calls == ["stopped", "made", "stopped", "stopped"] and "Fig. 7" in (tmp_path / "out/report.md").read_text()
 
 
 def test_rows_are_computed_once_unless_all_is_to_be_fresh(store):
@@ -248,7 +245,7 @@ def test_mh_with_whole_diagrams_is_mh_and_rules_are_timed(monkeypatch):
     annealing = Annealing(Tube(15, 2, 10), 60, timings.WARM_UP)
     contest = timings.Contest(annealing, np.asarray(random_tissue(annealing.tube, 60, 3)), 1)
     annealer, state = contest.annealers["mh"], contest.states["mh"]
-    whole, taken = play_whole(annealer, state, contest.gauge, 60)
+    whole, taken = play_whole(annealer, state, contest.measurer, 60)
     _, rows, trail = annealer.advance(state)
     assert len(taken) == 60 and 0.2 < rows[0].acceptance < 0.8
     assert np.abs(whole - trail[0]).max() < 1e-6
@@ -321,9 +318,7 @@ def test_two_processes_give_what_one_gives_to_the_bit(store, tmp_path):
             dict(workers.run(Tube, [(1.0, 1.0, 2.0), (1.0, 3.0, 2.0)]))
     assert all(np.array_equal(told[seed], alone[seed]) for seed in (0, 1))
     for name, column in tables[0].items():
-        assert all(np.array_equal(column, table[name], equal_nan=name != "kind") for table in tables[1:]), (
-            name
-        )
+        assert all(np.array_equal(column, table[name], equal_nan=name != "kind") for table in tables[1:]), name
 
 
 def test_lloyds_lists_are_as_long_as_they_must_be(monkeypatch):

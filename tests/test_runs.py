@@ -124,9 +124,7 @@ def test_a_flipped_bit_is_told_in_one_line(whole, stopped, copy, capsys, ended: 
     assert main(["anneal", "--out", str(folder), "--resume"]) == 0 and same_run(folder, whole)
 
 
-@pytest.mark.parametrize(
-    "name", ["finished", "resumed", "cooling_sweeps", "compile_seconds", "files", "format"]
-)
+@pytest.mark.parametrize("name", ["finished", "resumed", "cooling_sweeps", "compile_seconds", "files", "format"])
 def test_a_manifest_that_lacks_something_is_told_in_one_line(stopped, copy, capsys, name: str) -> None:
     folder = copy(stopped)
     manifest = read_sealed(folder / "manifest.json", "")
@@ -191,9 +189,7 @@ def test_what_a_killed_process_left_is_swept(stopped, copy, tmp_path) -> None:
         (place / ".cells.csv.somewhere-12.part").touch()
         (place / ".lock").touch()
     assert main(["anneal", "--out", str(folder), "--resume", "--finish"]) == 0
-    assert (
-        main([*SMALL, "--sweeps", "0", "--out", str(new)]) == 0
-    )  # killed before it had anything: no --force
+    assert main([*SMALL, "--sweeps", "0", "--out", str(new)]) == 0  # killed before it had anything: no --force
     assert not [path for place in (folder, new) for path in place.glob(".*")]
 
 

@@ -75,9 +75,7 @@ def test_walls_know_what_lies_behind_them(edges):
     touching = contacts.pairs[(contacts.pairs == INNER).any(axis=1)].sum(axis=1) - INNER
     assert set(touching) <= set(shape.behind) and {APICAL, BASAL} <= set(shape.behind)
     radii = np.linalg.norm(shape.corners[..., 1:], axis=-1)
-    assert radii[shape.behind == BASAL] == pytest.approx(6) and radii[
-        shape.behind == APICAL
-    ] == pytest.approx(2)
+    assert radii[shape.behind == BASAL] == pytest.approx(6) and radii[shape.behind == APICAL] == pytest.approx(2)
 
 
 def test_edges_lie_on_the_shape_and_the_frame_keeps_distances(edges):
@@ -88,9 +86,7 @@ def test_edges_lie_on_the_shape_and_the_frame_keeps_distances(edges):
     points = np.random.default_rng(0).normal(size=(5, 3))
     assert np.ptp(points - points[0], axis=0).sum() > 0
     moved = to_cell_frame(points, POSITIONS[3])
-    assert np.linalg.norm(moved - moved[0], axis=1) == pytest.approx(
-        np.linalg.norm(points - points[0], axis=1)
-    )
+    assert np.linalg.norm(moved - moved[0], axis=1) == pytest.approx(np.linalg.norm(points - points[0], axis=1))
 
 
 def test_pictures_of_cells_name_their_axes(edges, monkeypatch):
@@ -100,9 +96,7 @@ def test_pictures_of_cells_name_their_axes(edges, monkeypatch):
     found, contacts = find_transitions(POSITIONS, TUBE, edges), find_contacts(POSITIONS, TUBE, edges=edges)
     cell = int(found.per_cell.argmax())
     own = (contacts.pairs == cell).any(axis=1)
-    kinds = dict(
-        zip((contacts.pairs[own].sum(axis=1) - cell).tolist(), contacts.kind[own].tolist(), strict=True)
-    )
+    kinds = dict(zip((contacts.pairs[own].sum(axis=1) - cell).tolist(), contacts.kind[own].tolist(), strict=True))
     points = found.points[(found.cells == cell).any(axis=1)]
     figure, axes = plot_scutoid(TUBE, POSITIONS, cell, kinds, (edges, points))
     assert rendered(figure) and "degrees" in axes[2].get_xlabel()

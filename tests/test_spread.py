@@ -44,9 +44,7 @@ def test_separation_is_the_smallest_distance_of_two_segments(seed, ratio):
         assert separation(positions, tube) == pytest.approx(float(expected), rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("axial", "angle"), [(1e-6, 0.0), (0.0, 1e-6), (1e-6, 1e-6), (0.0, 2 * math.pi - 1e-6)]
-)
+@pytest.mark.parametrize(("axial", "angle"), [(1e-6, 0.0), (0.0, 1e-6), (1e-6, 1e-6), (0.0, 2 * math.pi - 1e-6)])
 def test_separation_of_nearly_equal_positions(axial, angle, x64):
     positions = jnp.array([[50.0, 0.0], [50.0 + axial, angle], [80.0, 3.0]])
     expected = math.hypot(axial, 2 * 5 * math.sin(angle / 2))

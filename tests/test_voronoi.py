@@ -82,9 +82,7 @@ def test_nearest_backbones_move_with_the_tissue(x64):
         scale = 2.0 if name == "scale" else 1.0
         np.testing.assert_allclose(moved[1], scale * distances, rtol=1e-12, err_msg=name)  # rounding
     order = rng.permutation(30)
-    permuted = nearest_backbones(
-        jnp.asarray(points), jax.tree.map(lambda ends: ends[order], backbones), count=3
-    )
+    permuted = nearest_backbones(jnp.asarray(points), jax.tree.map(lambda ends: ends[order], backbones), count=3)
     np.testing.assert_array_equal(order[np.asarray(permuted[0])], labels)
 
 

@@ -34,8 +34,8 @@ from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube, cells_for_unit_volume
 from jaxtissue.measurement.cells import CellGeometry, measure_cells
 from jaxtissue.measurement.quadrature import PRESETS, Lines, Resolution, as_resolution, plan_lines
-from jaxtissue.neighbors.search import check_angles, find_candidates, sided, tiling_defect
-from jaxtissue.tissue.measurer import Gauge, measure_tissue
+from jaxtissue.neighbors.search import check_angles, find_candidates, split_by_side, tiling_defect
+from jaxtissue.tissue.measurer import CellMeasurer, measure_tissue
 from jaxtissue.topology.contacts import Contacts, find_contacts
 from jaxtissue.topology.edges import trace_edges
 from jaxtissue.topology.neighbor_law import NeighborLaw, bound_ratios, fit_neighbor_law
@@ -56,10 +56,10 @@ __all__ = [
     "Backbones",
     "CellForms",
     "CellGeometry",
+    "CellMeasurer",
     "Connectivity",
     "Contacts",
     "ExactDiagram",
-    "Gauge",
     "Lines",
     "Model",
     "NeighborLaw",
@@ -104,7 +104,7 @@ __all__ = [
     "polygon_classes",
     "record_together",
     "separation",
-    "sided",
+    "split_by_side",
     "summarize_connectivity",
     "sweep",
     "tabulate_connectivity",

@@ -113,9 +113,7 @@ def check_energy(model: Model) -> None:
         volume: Any = np.array([0.5, 1.001, 1.5, 2], dtype) * model.mean_volume
         area: Any = np.array([5, 6, 7, 8], dtype) * model.mean_volume ** dtype.type(2 / 3)
     try:
-        energy, part = (
-            tissue_energies(CellGeometry(volume[:count], area[:count]), model) for count in (4, 2)
-        )
+        energy, part = (tissue_energies(CellGeometry(volume[:count], area[:count]), model) for count in (4, 2))
     except (TypeError, IndexError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"{_name(model)} fails ({reason}); give a function of each cell alone") from error

@@ -33,8 +33,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="jaxtissue", description="3D epithelial tubes: cells as Voronoi cells of backbones")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     options = {
-        name: commands.add_parser(name, help=text, description=text, allow_abbrev=False)
-        for name, text in _HELP.items()
+        name: commands.add_parser(name, help=text, description=text, allow_abbrev=False) for name, text in _HELP.items()
     }
     for name, command in options.items():
         default = argparse.SUPPRESS if name == "anneal" else False
@@ -88,9 +87,7 @@ def _add_anneal(command: argparse.ArgumentParser) -> None:
 
 
 def _add_sweep(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder to make or go on with"
-    )
+    command.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to make or go on with")
     command.add_argument("--force", action="store_true", help="begin anew what is there already")
     positive, size = _number(0, above=True), _number(0)
     axes: dict[str, tuple[Callable[[str], Any], str, str]] = {
@@ -152,16 +149,10 @@ def _add_contacts(command: Any, minimum: Any, without: Any) -> None:
 
 
 def _add_reproduce(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "items", nargs="*", metavar="ITEM", help="table1, fig5, fig7 ... fig16 (default: all)"
-    )
+    command.add_argument("items", nargs="*", metavar="ITEM", help="table1, fig5, fig7 ... fig16 (default: all)")
     command.add_argument("--quick", action="store_true", help="a small version of everything, in minutes")
-    command.add_argument(
-        "--seeds", type=_count(2, 1000), metavar="N", help="runs per mean (default: 10, quick: 2)"
-    )
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder to make or to go on with"
-    )
+    command.add_argument("--seeds", type=_count(2, 1000), metavar="N", help="runs per mean (default: 10, quick: 2)")
+    command.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to make or to go on with")
     command.add_argument("--force", action="store_true", help="make anew what is there already")
 
 

@@ -194,10 +194,8 @@ def _run_alike(requests: Sequence[Request], slots: int, devices: int) -> list[An
     program = PROGRAMS.get(known)
     if program is None or isinstance(program, Future):
         begin = time.perf_counter()
-        if program is None or program.exception():
-            program = _compiling(requests[0], mesh, batch)()
-        else:
-            program = program.result()
+        fails = program is None or program.exception()
+        program = _compiling(requests[0], mesh, batch)() if fails else program.result()
         PROGRAMS[known] = program
         compiling = time.perf_counter() - begin
     pending = program(*batch)
@@ -275,9 +273,7 @@ def _lifted(function: Callable[..., Any], mesh: Mesh) -> Callable[..., Any]:
 
     def one(call: tuple) -> Any:
         # a branch is compiled by itself: whatever is around it, the result is the same to the bit
-        empty = jax.tree.map(
-            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(function, *call[1])
-        )
+        empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(function, *call[1]))
         return jax.lax.cond(call[0], lambda: function(*call[1]), lambda: empty)
 
     def share(active: jax.Array, arguments: tuple) -> Any:

@@ -14,15 +14,18 @@ import numpy as np
 from jaxtyping import Array, Int
 
 T = TypeVar("T")
-PUT: dict[str, Any] = {"mode": "drop", "wrap_negative_indices": False}  # `table.at[numbers].set(rows, **PUT)`
+SCATTER: dict[str, Any] = {
+    "mode": "drop",
+    "wrap_negative_indices": False,
+}  # `table.at[numbers].set(rows, **SCATTER)`
 
 
-def taken(table: Array | np.ndarray, numbers: Int[Array, "..."]) -> Array:
+def take_rows(table: Array | np.ndarray, numbers: Int[Array, "..."]) -> Array:
     """The rows of the given numbers; of those beyond the table the first or last."""
     return jnp.asarray(table).at[numbers].get(mode="clip", wrap_negative_indices=False)
 
 
-def settled(compute: Callable[[], T], truth: Array) -> T:
+def fusion_barrier(compute: Callable[[], T], truth: Array) -> T:
     """Compute, behind a branch that is always taken, which XLA's fusion can't cross.
 
     Else the CPU compiler repeats a stage inside every consumer of the next: 2.5 times slower as measured.

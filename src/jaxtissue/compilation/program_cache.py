@@ -31,9 +31,7 @@ is_on = False  # in commands only
 LOADED: set[Path] = set()
 
 
-def key_of(
-    function: Callable[..., Any], arguments: Any, options: Mapping[str, Any], devices: int
-) -> str | None:
+def key_of(function: Callable[..., Any], arguments: Any, options: Mapping[str, Any], devices: int) -> str | None:
     """What the program of a function of this package is kept under; none where programs are not kept."""
     if not is_on or _folder() is None or jax.process_count() > 1:  # devices of others are not found again
         return None

@@ -71,9 +71,7 @@ def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDia
         raise ValueError(f"samples = {samples}: a backbone needs its two ends, give samples >= 2")
     radii = float(tube.length / tube.basal_radius)
     if radii > LONGEST:
-        message = (
-            f"length={tube.length} is {radii:.3g} basal radii; the exact path takes {LONGEST:.0f} at most"
-        )
+        message = f"length={tube.length} is {radii:.3g} basal radii; the exact path takes {LONGEST:.0f} at most"
         raise ValueError(f"{message}: cut the tube into shorter ones")
     half, apical, basal = float(tube.length) / 2, float(tube.apical_radius), float(tube.basal_radius)
     positions = as_positions(positions, tube, np.float64)
@@ -85,13 +83,12 @@ def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDia
     n_x, n_r = facets.planes.tilt
     n, (a, b) = len(backbones.axial), facets.cells
     # each cell seen from its own backbone: seen from afar errors of areas would grow with the way
-    gains = (
+    gain_a, gain_b = (
         n_x * ((n_x * facets.planes.offset - own) * moments[0] + n_r * moments[1])
         + (half - own) * right
         + (half + own) * left
         for own in np.append(backbones.axial, 0)[facets.cells]
     )
-    gain_a, gain_b = gains
     volume = (np.bincount(a, gain_a, n + 1) - np.bincount(b, gain_b, n + 1))[:n]
     _require_filled(volume, tube)
 

@@ -64,9 +64,7 @@ def label_volumes(
 
 
 @usual_modes()
-def label_image(
-    positions: Float[ArrayLike, "n 2"], tube: Tube, spacing: float
-) -> UInt16[np.ndarray, "z y x"]:
+def label_image(positions: Float[ArrayLike, "n 2"], tube: Tube, spacing: float) -> UInt16[np.ndarray, "z y x"]:
     """The tissue as an image of cell labels, order (z, y, x): 0 outside, cell index + 1 inside.
 
     Voxels are laid out as in `sampling.image_mask`; each has the label of the cell that holds its center.

@@ -185,9 +185,7 @@ def _label(chunk: _Chunk, cells: Stand) -> Int64[np.ndarray, " p"]:
         if not done.all():
             rest = _Boxes(boxes.start[~done], boxes.size[~done], take(lists, ~done))
             parts = _split(rest, chunk, level + 1)
-            left += [
-                (level + 1, _Boxes(parts.start[k], parts.size[k], own)) for k, own in batches(parts.lists)
-            ]
+            left += [(level + 1, _Boxes(parts.start[k], parts.size[k], own)) for k, own in batches(parts.lists)]
     return labels
 
 

@@ -52,9 +52,7 @@ def _separation(positions: Float[Array, "n 2"], tube: Tube) -> Float[Array, ""]:
 
 
 @usual_modes()
-def covering_radius(
-    positions: Float[ArrayLike, "n 2"], tube: Tube, tolerance: float = 4e-4
-) -> Float[np.ndarray, ""]:
+def covering_radius(positions: Float[ArrayLike, "n 2"], tube: Tube, tolerance: float = 4e-4) -> Float[np.ndarray, ""]:
     """Largest distance from a point of the tissue to its nearest backbone (paper, Definition 1).
 
     The distance to a radial backbone never falls on the way outwards, so the maximum is on the basal surface.
@@ -126,8 +124,5 @@ def _halved(
 ) -> tuple[Float[np.ndarray, "2 1"], Float[np.ndarray, "2 parts"]]:
     """A patch cut in two where it is long: half the sides of its parts; their centers seen from its."""
     smaller = np.where(2 * half > half.max(), half / 2, half)
-    steps = [
-        np.unique([small - large, large - small])
-        for small, large in zip(smaller[:, 0], half[:, 0], strict=True)
-    ]
+    steps = [np.unique([small - large, large - small]) for small, large in zip(smaller[:, 0], half[:, 0], strict=True)]
     return smaller, np.stack(np.meshgrid(*steps, indexing="ij")).reshape(2, -1)

@@ -17,17 +17,23 @@ from jaxtissue.dynamics.independent_sets import independent_rounds, one_by_one, 
 from jaxtissue.dynamics.local_updates import Neighborhoods, Scene, TissueState
 from jaxtissue.dynamics.metropolis import draw, warn_of_coarse_places
 from jaxtissue.dynamics.spans import Trail, energy_terms, fit_play, play
-from jaxtissue.dynamics.survey import Surveyor
-from jaxtissue.dynamics.sweep_log import Measured, SweepRecord, least_around, shortlisted, sweep_record
+from jaxtissue.dynamics.survey import TissueSurvey
+from jaxtissue.dynamics.sweep_log import (
+    Measured,
+    SweepRecord,
+    least_around,
+    shortlist_neighbors,
+    sweep_record,
+)
 from jaxtissue.energy import Model, check_energy, require_finite
 from jaxtissue.geometry.positions import as_positions, check_count
-from jaxtissue.measurement.axial_lines import Posts
+from jaxtissue.measurement.axial_lines import BackboneCoords
 from jaxtissue.measurement.cells import CellGeometry
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution
 from jaxtissue.neighbors.shortlists import find_unlisted, list_first, shortlist_length
 
 ALGORITHMS = ("is-mh", "mh")
-SPAN = 10  # the most sweeps between renewals of lists and rounds
+SPAN = 10  # the most sweeps between num_rebuilds of lists and rounds
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
 Plan = Sequence[Int[np.ndarray, "rounds width"]]  # the rounds of some sweeps
 Span = tuple["AnnealState", list[SweepRecord], Float[np.ndarray, "sweeps n 2"]]
@@ -81,7 +87,7 @@ class Annealer:
         self.seed, self.temperatures = seed, temperatures
         self._exactness = EXACT * float(jnp.finfo(dtype).eps) * float(self.model.mean_volume)
         self._asker = Asker()
-        self._surveyor = Surveyor(self.model, self.resolution, self._asker)
+        self._surveyor = TissueSurvey(self.model, self.resolution, self._asker)
 
     @property
     def compile_seconds(self) -> float:
@@ -149,7 +155,7 @@ class Annealer:
         measured = yield from self._measure(state)
         sides, clear = measured.sides.copy(), measured.urgency()
         while True:
-            near = shortlisted(sides, clear, state.around)
+            near = shortlist_neighbors(sides, clear, state.around)
             after, trail = yield from self._play_on(near, state, measured, plan[:sweeps])
             fresh = yield from self._measure(after)
             missing = self._missing(fresh, near, trail)
@@ -191,9 +197,7 @@ class Annealer:
         cells = np.flatnonzero(off > self._exactness)
         return find_unlisted(cells, fresh.clear, fresh.sides, np.asarray(near.sides))
 
-    def _play_halves(
-        self, state: AnnealState, plan: Plan, sweeps: int
-    ) -> Task[tuple[AnnealState, Trail, float]]:
+    def _play_halves(self, state: AnnealState, plan: Plan, sweeps: int) -> Task[tuple[AnnealState, Trail, float]]:
         """Half of the sweeps, or of the one sweep's rounds, and the other half on new lists."""
         if sweeps > 1:
             half = sweeps // 2
@@ -221,7 +225,7 @@ class Annealer:
         if self.algorithm == "mh" or self.conflicts in ("near", "2-hop"):  # rounds are few
             blank: Any = np.zeros(n, dtype)
             reach: Any = np.zeros((n, 2, lines.row), dtype)
-            tissue = TissueState(Posts(blank, blank, blank, blank), blank, blank, reach, blank > 0)
+            tissue = TissueState(BackboneCoords(blank, blank, blank, blank), blank, blank, reach, blank > 0)
             few = np.zeros((n, 2, min(shortlist_length(n), sides.shape[2])), np.int32)
             near = Neighborhoods(np.zeros((n, max(least_around(n), state.around)), np.int32), few)
             rounds = np.zeros((n, 1) if self.algorithm == "mh" else (1, round_width(n)), np.int32)
@@ -253,9 +257,7 @@ class Annealer:
 
 
 @usual_modes()
-def advance_together(
-    annealers: Sequence[Annealer], states: Sequence[AnnealState], slots: int = 0
-) -> list[Span]:
+def advance_together(annealers: Sequence[Annealer], states: Sequence[AnnealState], slots: int = 0) -> list[Span]:
     """`Annealer.advance` for some replicas at once, each its own annealer, to the same bits as alone.
 
     Those alike in resolution, number of cells and energy function run in one compiled program, [replicas, n],
@@ -268,9 +270,7 @@ def advance_together(
 
 
 @usual_modes()
-def record_together(
-    annealers: Sequence[Annealer], states: Sequence[AnnealState], slots: int = 0
-) -> list[SweepRecord]:
+def record_together(annealers: Sequence[Annealer], states: Sequence[AnnealState], slots: int = 0) -> list[SweepRecord]:
     """`Annealer.record` for some replicas at once, as `advance_together`."""
     tasks = [annealer._record(state) for annealer, state in zip(annealers, states, strict=True)]
     return run_together(tasks, slots)

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from jaxtissue.diagram.spread import covering_radius
 from jaxtissue.dynamics.coloring import color, distance_conflicts, hop_conflicts
-from jaxtissue.dynamics.local_updates import Neighborhoods, room
+from jaxtissue.dynamics.local_updates import Neighborhoods, update_capacity
 from jaxtissue.dynamics.metropolis import Order, move_bound
 from jaxtissue.energy import Model
 
@@ -92,4 +92,4 @@ def padded_orders(plan: Sequence[Int[np.ndarray, "rounds width"]], sweeps: int, 
     for k, some in enumerate(plan):
         rounds[k, : len(some)] = some
     counts = np.array([*map(len, plan), *sweeps * [0]], np.int32)[:sweeps]
-    return Order(rounds, counts, np.full(sweeps, room(width, near), np.int32))
+    return Order(rounds, counts, np.full(sweeps, update_capacity(width, near), np.int32))

@@ -7,18 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxtissue.compilation.fusion import PUT, settled, taken
+from jaxtissue.compilation.fusion import SCATTER, fusion_barrier, take_rows
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.energy import Model, cell_energies
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.axial_lines import (
     LEVEL,
-    Posts,
-    Rivals,
-    meeting,
+    BackboneCoords,
+    RelativeCoords,
+    backbone_coords,
+    crossing,
+    lines_in_frame,
     pick,
-    posts,
-    see_lines,
     turn_between,
 )
 from jaxtissue.measurement.cells import BLOCK, CellGeometry, Survey, measure_window, through_windows
@@ -46,7 +46,7 @@ class Scene(NamedTuple):
 class TissueState(NamedTuple):
     """Backbones and what is known of their cells: sizes, and the reaches a move must undercut to matter."""
 
-    place: Posts
+    place: BackboneCoords
     volume: Float[Array, "n"]
     lateral_area: Float[Array, "n"]
     reach: Float[Array, "n 2 row"]  # in the middle window
@@ -70,7 +70,7 @@ class Changes(NamedTuple):
 def tissue_state(positions: Float[Array, "n 2"], seen: Survey) -> TissueState:
     """The state of a tissue that was measured."""
     sizes = seen.sizes
-    return TissueState(posts(positions), sizes.volume, sizes.lateral_area, seen.reach, seen.wide)
+    return TissueState(backbone_coords(positions), sizes.volume, sizes.lateral_area, seen.reach, seen.wide)
 
 
 class Round(NamedTuple):
@@ -78,16 +78,16 @@ class Round(NamedTuple):
 
     movers: Int[Array, "width"]  # padded with -1
     members: Int[Array, "width around+1"]  # the cells around a mover, and (last) itself
-    around: Posts  # where those around are, [width, around]
-    before: Posts  # the movers, [width]
-    after: Posts
+    around: BackboneCoords  # where those around are, [width, around]
+    before: BackboneCoords  # the movers, [width]
+    after: BackboneCoords
 
 
-def open_round(movers: Array, place: Posts, proposed: Posts, near: Neighborhoods) -> Round:
+def gather_round(movers: Array, place: BackboneCoords, proposed: BackboneCoords, near: Neighborhoods) -> Round:
     """What a round's moves are about, gathered once."""
     truth = movers[0] < len(near.around)
-    cells = settled(lambda: taken(near.around, movers), truth)
-    posts_of = settled(lambda: (pick(place, cells), pick(place, movers), pick(proposed, movers)), truth)
+    cells = fusion_barrier(lambda: take_rows(near.around, movers), truth)
+    posts_of = fusion_barrier(lambda: (pick(place, cells), pick(place, movers), pick(proposed, movers)), truth)
     return Round(movers, jnp.concatenate([cells, movers[:, None]], axis=1), *posts_of)
 
 
@@ -103,23 +103,23 @@ def find_changed(
     """
     lines = scene.lines
     tube, cells, own = scene.model.tube, moves.members[:, :-1], moves.around
-    reach, truth = taken(state.reach, cells.ravel()), moves.movers[0] < len(state.volume)
+    reach, truth = take_rows(state.reach, cells.ravel()), moves.movers[0] < len(state.volume)
     spare = (0, lines.row - len(lines.number))
-    grid = jax.tree.map(lambda table: jnp.pad(table[:, 0], spare), see_lines(lines, reach.dtype))
+    grid = jax.tree.map(lambda table: jnp.pad(table[:, 0], spare), lines_in_frame(lines, reach.dtype))
 
-    def against(place: Posts) -> tuple[Rivals, Array, Array]:
+    def against(place: BackboneCoords) -> tuple[RelativeCoords, Array, Array]:
         """The movers as rivals of those around them, sooner by the tolerance; who are ahead, who level."""
         mover = jax.tree.map(lambda column: column[:, None], place)
         gap, (versine, sine) = mover.axial - own.axial, turn_between(own, mover)
         floor = LEVEL * tube.apical_radius * jnp.sqrt(2 * versine)
         apart = jnp.maximum(jnp.maximum(jnp.abs(gap), floor), 1e-30)
-        rivals = Rivals(apart / 2 - SLACK * tube.basal_radius, 0.5 / apart, versine, sine)
+        rivals = RelativeCoords(apart / 2 - SLACK * tube.basal_radius, 0.5 / apart, versine, sine)
         return rivals, gap > 0, jnp.abs(gap) <= floor
 
-    now, then = (settled(lambda at=at: against(at), truth) for at in (moves.before, moves.after))
+    now, then = (fusion_barrier(lambda at=at: against(at), truth) for at in (moves.before, moves.after))
 
-    def undercuts(rivals: Rivals, is_ahead: Array) -> Array:
-        meets = meeting(grid, jax.tree.map(lambda column: column.reshape(-1, 1), rivals), tube)
+    def undercuts(rivals: RelativeCoords, is_ahead: Array) -> Array:
+        meets = crossing(grid, jax.tree.map(lambda column: column.reshape(-1, 1), rivals), tube)
         is_ahead = is_ahead.reshape(-1, 1)
         return meets - SLACK * jnp.abs(meets) <= jnp.where(is_ahead, reach[:, 1], reach[:, 0])
 
@@ -127,7 +127,7 @@ def find_changed(
     touched = (touched.max(axis=1) > 0).reshape(cells.shape)
     is_move = (moves.movers >= 0)[:, None]
     real = (cells != moves.movers[:, None]) & is_move
-    perhaps = real & ~touched & (taken(state.wide, cells) | now[2] | then[2])
+    perhaps = real & ~touched & (take_rows(state.wide, cells) | now[2] | then[2])
     return (
         jnp.concatenate([real & touched, is_move], axis=1),
         jnp.concatenate([perhaps, jnp.zeros_like(is_move)], axis=1),
@@ -137,7 +137,7 @@ def find_changed(
 def count_left(moves: Round, tube: Tube) -> Int[Array, ""]:
     """Moves whose apical end lands in another cell (the paper would not propose them)."""
 
-    def square(others: Posts, to: Posts) -> Array:
+    def square(others: BackboneCoords, to: BackboneCoords) -> Array:
         versine, _ = turn_between(others, to)
         return (to.axial - others.axial) ** 2 + 2 * tube.apical_radius**2 * versine
 
@@ -146,7 +146,7 @@ def count_left(moves: Round, tube: Tube) -> Int[Array, ""]:
     return left.sum(dtype=jnp.int32)
 
 
-def room(width: int, near: Neighborhoods) -> int:
+def update_capacity(width: int, near: Neighborhoods) -> int:
     """The most cells that the moves of a round may change together; all around one, at least."""
     around = near.around.shape[1] + 1
     return min(width * around, max(around, ROOM * width))
@@ -157,27 +157,25 @@ def find_collisions(changed: Bool[Array, "width around+1"], moves: Round, n: int
     cells, width = moves.members, len(changed)
     order = jnp.arange(width)[:, None]
     at = jnp.where(changed, cells, n)
-    first = jnp.full(n, width).at[at].min(jnp.broadcast_to(order, at.shape), **PUT)
-    return (changed & (taken(first, cells) < order)).any(axis=1)
+    first = jnp.full(n, width).at[at].min(jnp.broadcast_to(order, at.shape), **SCATTER)
+    return (changed & (take_rows(first, cells) < order)).any(axis=1)
 
 
 def pack(chosen: Bool[Array, "..."], early: Bool[Array, "..."], size: int) -> Int[Array, "size"]:
     """The flat places of at most `size` that are chosen, the early ones first.
 
     Ranks within rows are products with a triangle of ones, of both kinds at once: a third of the time of
-    sorting. Stages are `settled`, else indices are taken apart by divisions, one by one.
+    sorting. Stages are `fusion_barrier`, else indices are taken apart by divisions, one by one.
     """
     row = 64  # within which both counts fit into one number
     chosen, early = chosen.ravel(), early.ravel()
     truth, spare = chosen[0] <= size, (0, -chosen.size % row)
-    kind = settled(lambda: jnp.pad(jnp.where(chosen, jnp.where(early, 128.0, 1.0), 0.0), spare), truth)
+    kind = fusion_barrier(lambda: jnp.pad(jnp.where(chosen, jnp.where(early, 128.0, 1.0), 0.0), spare), truth)
     kind = kind.reshape(-1, row)
     upto = jnp.matmul(kind, jnp.triu(jnp.ones((row, row), kind.dtype)), precision=jax.lax.Precision.HIGHEST)
     last = upto[:, -1].astype(jnp.int32)
     counts = jnp.stack([last // 128, last % 128])
-    before = (
-        jnp.cumsum(counts, axis=1, dtype=jnp.int32) - counts
-    )  # not a product: that would be quadratic in the cells
+    before = jnp.cumsum(counts, axis=1, dtype=jnp.int32) - counts  # not a product: that would be quadratic in the cells
     before = before.at[1].add(counts[0].sum(dtype=jnp.int32)) - 1
 
     def ranks() -> Array:
@@ -186,14 +184,14 @@ def pack(chosen: Bool[Array, "..."], early: Bool[Array, "..."], size: int) -> In
         return jnp.where(kind > 0, rank, size)
 
     places = jnp.arange(kind.size, dtype=jnp.int32)
-    return jnp.zeros(size, jnp.int32).at[settled(ranks, truth).ravel()].set(places, **PUT)
+    return jnp.zeros(size, jnp.int32).at[fusion_barrier(ranks, truth).ravel()].set(places, **SCATTER)
 
 
 def measure_changes(
     changed: Array,
     moves: Round,
     state: TissueState,
-    proposed: Posts,
+    proposed: BackboneCoords,
     scene: Scene,
     reach: Array,
 ) -> Changes:
@@ -203,27 +201,27 @@ def measure_changes(
     """
     model, near, lines = scene
     size = len(reach)
-    item = pack(changed, taken(state.wide, moves.members), size)
-    move, cell = item // changed.shape[1], taken(moves.members.ravel(), item)
+    item = pack(changed, take_rows(state.wide, moves.members), size)
+    move, cell = item // changed.shape[1], take_rows(moves.members.ravel(), item)
     total = changed.sum(dtype=jnp.int32)
     blank = jnp.zeros(size, state.volume.dtype)
     start = Changes(item, move, cell, total, blank, blank, reach, blank > 0)
 
     def measure(items: Array, shift: Array, done: Changes) -> tuple[Changes, Array]:
-        mover, which = taken(moves.movers, taken(move, items)), taken(cell, items)
-        rivals, to = taken(near.sides, which).transpose(2, 1, 0), pick(proposed, mover)
+        mover, which = take_rows(moves.movers, take_rows(move, items)), take_rows(cell, items)
+        rivals, to = take_rows(near.sides, which).transpose(2, 1, 0), pick(proposed, mover)
 
-        def moved(index: Array) -> Posts:
+        def moved(index: Array) -> BackboneCoords:
             here = pick(state.place, index)
             return jax.tree.map(lambda old, new: jnp.where(index == mover, new, old), here, to)
 
         window = measure_window(moved(which), moved(rivals), rivals < which, model.tube, lines, shift)
         at = jnp.where(shift == 0, items, size)
         done = done._replace(
-            volume=done.volume.at[items].add(window.sizes.volume, **PUT),
-            lateral_area=done.lateral_area.at[items].add(window.sizes.lateral_area, **PUT),
-            reach=done.reach.at[at].set(window.reaches(lines.row), **PUT),
-            wide=done.wide.at[at].set(window.onward.any(axis=0), **PUT),
+            volume=done.volume.at[items].add(window.sizes.volume, **SCATTER),
+            lateral_area=done.lateral_area.at[items].add(window.sizes.lateral_area, **SCATTER),
+            reach=done.reach.at[at].set(window.reaches(lines.row), **SCATTER),
+            wide=done.wide.at[at].set(window.onward.any(axis=0), **SCATTER),
         )
         return done, window.onward
 
@@ -235,9 +233,9 @@ def drop_unchanged(
 ) -> Bool[Array, "items"]:
     """Which of the cells measured their move changes: those touched, and of the others those that differ."""
     tiny = 1000 * jnp.finfo(state.volume.dtype).eps * model.mean_volume
-    differs = jnp.abs(changes.volume - taken(state.volume, changes.cell)) > tiny
-    differs |= jnp.abs(changes.lateral_area - taken(state.lateral_area, changes.cell)) > tiny
-    return (taken(touched.ravel(), changes.item) | differs) & (jnp.arange(len(changes.item)) < changes.total)
+    differs = jnp.abs(changes.volume - take_rows(state.volume, changes.cell)) > tiny
+    differs |= jnp.abs(changes.lateral_area - take_rows(state.lateral_area, changes.cell)) > tiny
+    return (take_rows(touched.ravel(), changes.item) | differs) & (jnp.arange(len(changes.item)) < changes.total)
 
 
 def local_differences(
@@ -245,21 +243,25 @@ def local_differences(
 ) -> Float[Array, "width"]:
     """Energy difference of each move: the sum over the cells it changes."""
     new = cell_energies(CellGeometry(changes.volume, changes.lateral_area), model)
-    before = (taken(size, changes.cell) for size in (state.volume, state.lateral_area))
+    before = (take_rows(size, changes.cell) for size in (state.volume, state.lateral_area))
     old = cell_energies(CellGeometry(*before), model)
-    return jnp.zeros(width, new.dtype).at[changes.move].add(jnp.where(real, new - old, 0), **PUT)
+    return jnp.zeros(width, new.dtype).at[changes.move].add(jnp.where(real, new - old, 0), **SCATTER)
 
 
 def apply(
-    changes: Changes, accepted: Bool[Array, "items"], movers: Array, proposed: Posts, state: TissueState
+    changes: Changes,
+    accepted: Bool[Array, "items"],
+    movers: Array,
+    proposed: BackboneCoords,
+    state: TissueState,
 ) -> TissueState:
     """The state after the accepted moves, with the changes that belong to them."""
     n = len(state.volume)
     cell = jnp.where(accepted, changes.cell, n)
     return TissueState(
-        jax.tree.map(lambda old, new: old.at[movers].set(taken(new, movers), **PUT), state.place, proposed),
-        state.volume.at[cell].set(changes.volume, **PUT),
-        state.lateral_area.at[cell].set(changes.lateral_area, **PUT),
-        state.reach.at[cell].set(changes.reach, **PUT),
-        state.wide.at[cell].set(changes.wide, **PUT),
+        jax.tree.map(lambda old, new: old.at[movers].set(take_rows(new, movers), **SCATTER), state.place, proposed),
+        state.volume.at[cell].set(changes.volume, **SCATTER),
+        state.lateral_area.at[cell].set(changes.lateral_area, **SCATTER),
+        state.reach.at[cell].set(changes.reach, **SCATTER),
+        state.wide.at[cell].set(changes.wide, **SCATTER),
     )

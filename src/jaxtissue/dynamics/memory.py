@@ -61,9 +61,7 @@ def memory_warning(needed: int, available: int | None) -> str | None:
     )
 
 
-def tell_memory(
-    cells: int, tube: Tube, resolution: Resolution | str, float_bytes: int = 4, replicas: int = 1
-) -> str:
+def tell_memory(cells: int, tube: Tube, resolution: Resolution | str, float_bytes: int = 4, replicas: int = 1) -> str:
     """What is said before a run: about how much memory it takes, or a warning if there is not so much."""
     needed = estimate_memory(cells, tube, resolution, replicas, float_bytes)
     warning = memory_warning(needed, machine_memory())

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxtissue.compilation.fusion import PUT, taken
+from jaxtissue.compilation.fusion import SCATTER, take_rows
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.dynamics.local_updates import (
     Scene,
@@ -22,13 +22,13 @@ from jaxtissue.dynamics.local_updates import (
     drop_unchanged,
     find_changed,
     find_collisions,
+    gather_round,
     local_differences,
     measure_changes,
-    open_round,
-    room,
+    update_capacity,
 )
 from jaxtissue.energy import Model
-from jaxtissue.measurement.axial_lines import Posts, posts
+from jaxtissue.measurement.axial_lines import BackboneCoords, backbone_coords
 
 COARSE = 0.02  # of the longest move
 
@@ -46,13 +46,13 @@ class SweepInfo(NamedTuple):
 class Order(NamedTuple):
     """The rounds of a sweep: who moves in each, padded with -1, and how many rounds of them are played.
 
-    The moves of a round may change `room` cells together: what `changes.room` gives, or, where the lists are
+    The moves of a round may change `update_capacity` cells together: what that function gives, or, where the lists are
     padded, gave before.
     """
 
     rounds: Int[Array | np.ndarray, "rounds width"]
     played: Int[Array | np.ndarray, ""]
-    room: Int[Array | np.ndarray, ""]
+    update_capacity: Int[Array | np.ndarray, ""]
 
 
 def draw(seed: int, sweep: int, cells: int, dtype: np.dtype) -> Float[np.ndarray, "3 n"]:
@@ -63,14 +63,14 @@ def draw(seed: int, sweep: int, cells: int, dtype: np.dtype) -> Float[np.ndarray
     return np.random.default_rng([seed, sweep, 1]).random((3, cells), dtype)
 
 
-def propose(draws: Float[Array, "2 n"], place: Posts, model: Model) -> Posts:
+def propose(draws: Float[Array, "2 n"], place: BackboneCoords, model: Model) -> BackboneCoords:
     """A move for every cell: uniform in an apical disc of radius 0.25 sqrt(A / pi), A the mean apical area
     per cell (paper, section 4.3), reflected at the tube's ends. Both ends of the backbone move together."""
     bound, (share, turn) = move_bound(model, len(place.axial)), draws
     distance, direction = bound * jnp.sqrt(share), 2 * np.pi * turn
     axial = place.axial + distance * jnp.cos(direction)
     angle = place.angle + distance * jnp.sin(direction) / model.tube.apical_radius
-    return posts(model.tube.reflect(jnp.stack([axial, angle], axis=-1)))
+    return backbone_coords(model.tube.reflect(jnp.stack([axial, angle], axis=-1)))
 
 
 def move_bound(model: Model, cells: int) -> Float[Array, ""]:
@@ -92,7 +92,7 @@ def warn_of_coarse_places(model: Model, cells: int, dtype: np.dtype) -> None:
 class Proposals(NamedTuple):
     """The moves of a sweep, one for each cell: whereto, the chance drawn for it, and the temperature."""
 
-    place: Posts
+    place: BackboneCoords
     chance: Float[Array, "n"]
     temperature: Float[Array, ""]
 
@@ -132,9 +132,9 @@ def sweep(
             lambda: rounds[jnp.minimum(number, len(rounds) - 1)],
             lambda: jnp.nonzero(deferred, size=rounds.shape[1], fill_value=-1)[0].astype(rounds.dtype),
         )
-        deferred = deferred.at[jnp.where(planned | (movers < 0), n, movers)].set(False, **PUT)
+        deferred = deferred.at[jnp.where(planned | (movers < 0), n, movers)].set(False, **SCATTER)
         state, outcome, reach = play_round(movers, state, proposals, scene, order, reach)
-        deferred = deferred.at[jnp.where(outcome.put_off, movers, n)].set(True, **PUT)
+        deferred = deferred.at[jnp.where(outcome.put_off, movers, n)].set(True, **SCATTER)
         info = SweepInfo(
             info.accepted + outcome.accepted.sum(dtype=jnp.int32),
             info.collisions + (outcome.collides & planned).sum(dtype=jnp.int32),
@@ -146,7 +146,7 @@ def sweep(
 
     zero = jnp.zeros((), jnp.int32)
     nothing = SweepInfo(zero, zero, zero, zero, jnp.zeros((), dtype))
-    reach = jnp.zeros((room(rounds.shape[1], scene.near), *state.reach.shape[1:]), dtype)
+    reach = jnp.zeros((update_capacity(rounds.shape[1], scene.near), *state.reach.shape[1:]), dtype)
     start = (zero, jnp.zeros(n, bool), state, nothing, reach)
     _, _, state, info, _ = jax.lax.while_loop(unplayed, play, start)
     return state, info
@@ -162,21 +162,21 @@ def play_round(
 ) -> tuple[TissueState, Outcome, Float[Array, "room 2 row"]]:
     """The state after the moves of one round, all decided at once, what became of them, and `reach` used."""
     place, chance, temperature = proposals
-    moves = open_round(movers, state.place, place, scene.near)
+    moves = gather_round(movers, state.place, place, scene.near)
     touched, perhaps = find_changed(moves, state, scene)
     collides = find_collisions(touched, moves, len(chance))
     measured = (touched | perhaps) & ~collides[:, None]
-    crowded = jnp.cumsum(measured.sum(axis=1)) > order.room
+    crowded = jnp.cumsum(measured.sum(axis=1)) > order.update_capacity
     measured &= ~crowded[:, None]
     changes = measure_changes(measured, moves, state, place, scene, reach)
     real = drop_unchanged(changes, touched, state, scene.model)
-    changed = jnp.zeros(touched.size, bool).at[changes.item].max(real, **PUT).reshape(touched.shape)
+    changed = jnp.zeros(touched.size, bool).at[changes.item].max(real, **SCATTER).reshape(touched.shape)
     collides |= find_collisions(changed, moves, len(chance))
     put_off = collides | (crowded & (movers >= 0))
     difference = local_differences(changes, real, state, scene.model, len(movers))
     weight = jnp.exp(-jnp.maximum(difference, 0) / jnp.maximum(temperature, jnp.finfo(chance.dtype).tiny))
-    accepted = (movers >= 0) & ~put_off & (taken(chance, movers) < weight)
+    accepted = (movers >= 0) & ~put_off & (take_rows(chance, movers) < weight)
     moved = jnp.where(accepted, movers, len(chance))
-    after = apply(changes, real & taken(accepted, changes.move), moved, place, state)
+    after = apply(changes, real & take_rows(accepted, changes.move), moved, place, state)
     outcome = Outcome(accepted, collides, put_off, difference, count_left(moves, scene.model.tube))
     return after, outcome, changes.reach

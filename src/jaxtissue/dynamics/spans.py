@@ -12,8 +12,8 @@ from jaxtissue.dynamics.metropolis import Order, SweepInfo, sweep
 from jaxtissue.energy import Model, cell_energies, lateral_tension, volume_elasticity
 from jaxtissue.measurement.cells import CellGeometry
 from jaxtissue.measurement.quadrature import Lines
-from jaxtissue.neighbors.search import padded
-from jaxtissue.neighbors.shortlists import distances, see
+from jaxtissue.neighbors.search import pad_lists
+from jaxtissue.neighbors.shortlists import distances, survey_tissue
 
 
 class Trail(NamedTuple):
@@ -25,14 +25,14 @@ class Trail(NamedTuple):
     info: SweepInfo
 
 
-def look(
+def survey_state(
     positions: Float[Array, "n 2"],
     model: Model,
     lines: tuple[Lines, Lines],
     sides: Int[Array, "n 2 candidates"],
 ) -> tuple[TissueState, Float[Array, "n 2 candidates"], Float[Array, "n 2 candidates"]]:
-    """The state of a whole tissue, how clear of each cell its candidates are, as `see` tells, and how far."""
-    seen, clear = see(positions, model.tube, lines, sides)
+    """The state of a whole tissue, how clear of each cell its candidates are, as `survey_tissue` tells, and how far."""
+    seen, clear = survey_tissue(positions, model.tube, lines, sides)
     return tissue_state(positions, seen), clear, distances(positions, model.tube, sides)
 
 
@@ -61,7 +61,7 @@ def fit_play(arguments: tuple, sizes: tuple[int, ...]) -> tuple:
     """The arguments of `play` with lists of all around a cell and with rounds of the given lengths."""
     draws, state, scene, temperatures, orders = arguments
     spare = ((0, 0), (0, sizes[1] - orders.rounds.shape[1]), (0, 0))
-    near = scene.near._replace(around=padded(scene.near.around, sizes[0]))
+    near = scene.near._replace(around=pad_lists(scene.near.around, sizes[0]))
     orders = orders._replace(rounds=np.pad(orders.rounds, spare, constant_values=-1))
     return draws, state, scene._replace(near=near), temperatures, orders
 

@@ -8,12 +8,12 @@ from jaxtyping import Float, Int
 
 from jaxtissue.compilation.batching import Ahead, Asker, Request, Task
 from jaxtissue.dynamics.metropolis import move_bound
-from jaxtissue.dynamics.spans import look
+from jaxtissue.dynamics.spans import survey_state
 from jaxtissue.dynamics.sweep_log import Measured
 from jaxtissue.energy import Model
 from jaxtissue.measurement.quadrature import Lines, Resolution, plan_lines
 from jaxtissue.neighbors.search import TILES, candidate_lists, check_angles, tiling_defect
-from jaxtissue.neighbors.shortlists import both_views, from_both, sight_lines
+from jaxtissue.neighbors.shortlists import from_both, mutual_entries, sight_lines
 
 MARGIN = 8  # longest moves along the axis by which a candidate may get to the other side of a cell
 Positions = Float[np.ndarray, "n 2"]
@@ -21,7 +21,7 @@ Sides = Int[np.ndarray, "n 2 candidates"]
 Expected = Callable[[Sides], Iterable[Ahead]]
 
 
-class Surveyor:
+class TissueSurvey:
     """Measures the tissue of one replica; the last result is kept."""
 
     def __init__(self, model: Model, resolution: Resolution, asker: Asker) -> None:
@@ -50,7 +50,7 @@ class Surveyor:
         # lists are not padded to those of others: their width sets how finely `stop` compares
         call = self._looked_at(positions, sides)
         answer = yield from self._asker.ask(
-            Request(look, call, seldom=True, meanwhile=partial(both_views, sides))
+            Request(survey_state, call, seldom=True, meanwhile=partial(mutual_entries, sides))
         )
         tissue, clear, far = answer.result
         measured = Measured(tissue, sides, from_both(clear, answer.meanwhile), far)
@@ -72,7 +72,7 @@ class Surveyor:
                     yield from ask(Ahead(tiling_defect, call, seldom=True))
                 for ahead in expected(sides):
                     yield from ask(ahead)
-                yield from ask(Ahead(look, self._looked_at(positions, sides), seldom=True))
+                yield from ask(Ahead(survey_state, self._looked_at(positions, sides), seldom=True))
             if has_all:
                 return sides
             check = yield from ask(Request(tiling_defect, call, seldom=True))
@@ -81,5 +81,5 @@ class Surveyor:
         raise AssertionError("lists that have all are complete")
 
     def _looked_at(self, positions: Positions, sides: Sides) -> tuple:
-        """The arguments of `look`."""
+        """The arguments of `survey_state`."""
         return positions, self._model, self.lines(len(positions)), sides

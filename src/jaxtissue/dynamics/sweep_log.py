@@ -9,7 +9,7 @@ from scipy import sparse
 
 from jaxtissue.dynamics.local_updates import Neighborhoods, TissueState
 from jaxtissue.dynamics.metropolis import SweepInfo
-from jaxtissue.neighbors.search import contact_graph, padded
+from jaxtissue.neighbors.search import contact_graph, pad_lists
 from jaxtissue.neighbors.shortlists import CANDIDATES, TOUCHES, around, nearest_sides, shortlist_length
 
 ENOUGH = 200  # moves by which acceptance is judged
@@ -109,7 +109,7 @@ def least_around(cells: int) -> int:
     return -(-int(min(most, cells)) // 8) * 8
 
 
-def shortlisted(
+def shortlist_neighbors(
     sides: Int[np.ndarray, "n 2 candidates"],
     clear: Float[np.ndarray, "n 2 candidates"],
     width: int,
@@ -123,4 +123,4 @@ def shortlisted(
     lists = around(few)
     if lists.shape[1] > width:
         width = -(-int(1.1 * lists.shape[1]) // 16) * 16
-    return Neighborhoods(padded(lists, width), few)
+    return Neighborhoods(pad_lists(lists, width), few)

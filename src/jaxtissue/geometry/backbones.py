@@ -15,9 +15,7 @@ class Backbones(eqx.Module):
 
 
 @usual_modes()
-def distance_to_segment(
-    point: Float[Array, "3"], start: Float[Array, "3"], end: Float[Array, "3"]
-) -> Float[Array, ""]:
+def distance_to_segment(point: Float[Array, "3"], start: Float[Array, "3"], end: Float[Array, "3"]) -> Float[Array, ""]:
     """Distance from one point to one segment, min over 0 <= u <= 1 of |point - start - u (end - start)|.
 
     A segment of length zero is a point. Lift it with `jax.vmap` for many points or segments.

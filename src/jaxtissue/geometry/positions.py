@@ -158,9 +158,7 @@ def _near_pairs(place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n 2
     return _Near(pairs, apart, np.maximum(shift[first], shift[second]), axial[first] == axial[second])
 
 
-def _refuse_same(
-    place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n 2"], near: _Near, rows: Rows
-) -> None:
+def _refuse_same(place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n 2"], near: _Near, rows: Rows) -> None:
     """Raise `ValueError` for two backbones that are one as rounded."""
     limits = np.finfo(rounded.dtype)
     for i, j in near.pairs[near.level & (near.apart <= SAME * float(limits.eps))].tolist():
@@ -169,9 +167,7 @@ def _refuse_same(
         raise ValueError(f"{rows.two(i, j)} {same}{digits if rounded.dtype == np.float32 else ''}")
 
 
-def _warn_of_near(
-    place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n 2"], near: _Near, rows: Rows
-) -> None:
+def _warn_of_near(place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n 2"], near: _Near, rows: Rows) -> None:
     """Warn of backbones whose cells this precision can't measure."""
     first, second = near.pairs.T
     # walls between backbones that stand level are radial: rounding does not tilt them

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxtissue.compilation.fusion import larger, settled, smaller, taken
+from jaxtissue.compilation.fusion import fusion_barrier, larger, smaller, take_rows
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.quadrature import Lines
 
@@ -21,7 +21,7 @@ LEVEL = 3e-4  # slope against the axis given to walls closer to parallel to it: 
 FAR = 1e30  # beyond any tube, and finite: its lowest bits may be changed
 
 
-class Posts(NamedTuple):
+class BackboneCoords(NamedTuple):
     """Backbones as their axial place, angle, and its cosine and sine, all of one shape."""
 
     axial: Array
@@ -30,7 +30,7 @@ class Posts(NamedTuple):
     sine: Array
 
 
-class Grid(NamedTuple):
+class LineFrame(NamedTuple):
     """Lines as seen from a backbone, [lines, 1 or cells]."""
 
     radius: Array
@@ -47,25 +47,25 @@ class Grid(NamedTuple):
         """Component across it."""
         return self.turned.imag
 
-    def sunk(self, tube: Tube) -> Array:
+    def foot_depth(self, tube: Tube) -> Array:
         """By how much the own foot lies below the line, m."""
         return smaller(self.sagitta, self.radius - tube.apical_radius)
 
     def square(self, tube: Tube) -> Array:
         """Squared distance f to it."""
-        sunk = self.sunk(tube)
-        return 2 * self.radius * self.sagitta - sunk * (2 * self.sagitta - sunk)
+        foot_depth = self.foot_depth(tube)
+        return 2 * self.radius * self.sagitta - foot_depth * (2 * self.sagitta - foot_depth)
 
-    def sagitta_from(self, rival: "Rivals") -> Array:
+    def sagitta_from(self, rival: "RelativeCoords") -> Array:
         """The sagitta as seen from rivals."""
         return self.sagitta + self.z * rival.versine - self.y * rival.sine
 
-    def across(self, rival: "Rivals") -> Array:
+    def across(self, rival: "RelativeCoords") -> Array:
         """The component across rivals."""
         return self.y - self.y * rival.versine - self.z * rival.sine
 
 
-class Rivals(NamedTuple):
+class RelativeCoords(NamedTuple):
     """Each cell against its candidates behind and ahead, [candidates, 2, cells]; half is FAR for no rival."""
 
     half: Array  # |x_j - x_i| / 2
@@ -74,36 +74,36 @@ class Rivals(NamedTuple):
     sine: Array
 
 
-def pick(place: Posts, which: Array) -> Posts:
+def pick(place: BackboneCoords, which: Array) -> BackboneCoords:
     """The backbones of the given numbers."""
-    return Posts(*(taken(column, which) for column in place))
+    return BackboneCoords(*(take_rows(column, which) for column in place))
 
 
-def posts(positions: Float[Array | np.ndarray, "... 2"]) -> Posts:
+def backbone_coords(positions: Float[Array | np.ndarray, "... 2"]) -> BackboneCoords:
     """The backbones at (axial, angle) positions."""
     angle = positions[..., 1]
-    return Posts(jnp.asarray(positions[..., 0]), jnp.asarray(angle), jnp.cos(angle), jnp.sin(angle))
+    return BackboneCoords(jnp.asarray(positions[..., 0]), jnp.asarray(angle), jnp.cos(angle), jnp.sin(angle))
 
 
-def see_lines(lines: Lines, dtype: np.dtype) -> Grid:
+def lines_in_frame(lines: Lines, dtype: np.dtype) -> LineFrame:
     """The lines round each backbone, [lines, 1], in the middle window."""
     radius, offset = jnp.asarray(lines.radius, dtype)[lines.layer][:, None], lines.offset(dtype)[:, None]
     turned = jax.lax.complex(radius * jnp.cos(offset), radius * jnp.sin(offset))
-    return Grid(radius, turned, sagitta_of(radius, turned))
+    return LineFrame(radius, turned, sagitta_of(radius, turned))
 
 
-def see_window(lines: Lines, dtype: np.dtype, shift: Int[Array, "cells"], truth: Array) -> Grid:
+def window_in_frame(lines: Lines, dtype: np.dtype, shift: Int[Array, "cells"], truth: Array) -> LineFrame:
     """The lines round each backbone, [lines, cells], in windows onward: those of the middle one, turned."""
-    middle, turn = see_lines(lines, dtype), lines.turn(dtype, shift)
-    onward = settled(lambda: jax.lax.complex(jnp.cos(turn), jnp.sin(turn)), truth)
-    turned = settled(lambda: middle.turned * onward[lines.layer], truth)
-    return Grid(middle.radius, turned, settled(lambda: sagitta_of(middle.radius, turned), truth))
+    middle, turn = lines_in_frame(lines, dtype), lines.turn(dtype, shift)
+    onward = fusion_barrier(lambda: jax.lax.complex(jnp.cos(turn), jnp.sin(turn)), truth)
+    turned = fusion_barrier(lambda: middle.turned * onward[lines.layer], truth)
+    return LineFrame(middle.radius, turned, fusion_barrier(lambda: sagitta_of(middle.radius, turned), truth))
 
 
-def see_turned(radius: Array, turn: Array, own: Posts) -> Grid:
+def turned_in_frame(radius: Array, turn: Array, own: BackboneCoords) -> LineFrame:
     """Lines at the given radii, at angles given as e^(i angle), as seen from backbones."""
     turned = radius * (turn * jax.lax.complex(own.cosine, -own.sine))
-    return Grid(radius, turned, sagitta_of(radius, turned))
+    return LineFrame(radius, turned, sagitta_of(radius, turned))
 
 
 def sagitta_of(radius: Array, turned: Array) -> Array:
@@ -112,7 +112,9 @@ def sagitta_of(radius: Array, turned: Array) -> Array:
     return jnp.where(z > 0, y * y / (radius + larger(z, 0.0)), radius - z)
 
 
-def see_others(own: Posts, others: Posts, first: Array, tube: Tube) -> tuple[Rivals, Array]:
+def relative_coords(
+    own: BackboneCoords, others: BackboneCoords, first: Array, tube: Tube
+) -> tuple[RelativeCoords, Array]:
     """The others as rivals, whatever side they are on, and whether each lies ahead.
 
     No wall may be parallel to the axis: of two backbones at the same height the one that is `first` counts as
@@ -122,25 +124,25 @@ def see_others(own: Posts, others: Posts, first: Array, tube: Tube) -> tuple[Riv
     # exactly 0 for the cell itself, which pads the lists
     apart = jnp.maximum(jnp.abs(gap), LEVEL * tube.apical_radius * jnp.sqrt(2 * versine))
     half = jnp.where(apart > 0, apart / 2, FAR)
-    return Rivals(half, 0.25 / half, versine, sine), (gap > 0) | ((gap == 0) & ~first)
+    return RelativeCoords(half, 0.25 / half, versine, sine), (gap > 0) | ((gap == 0) & ~first)
 
 
-def turn_between(own: Posts, others: Posts) -> tuple[Array, Array]:
+def turn_between(own: BackboneCoords, others: BackboneCoords) -> tuple[Array, Array]:
     """Versine (half the squared chord) and sine of the angle from backbones to others."""
     versine = ((others.cosine - own.cosine) ** 2 + (others.sine - own.sine) ** 2) / 2
     return versine, others.sine * own.cosine - others.cosine * own.sine
 
 
-def see_rivals(own: Posts, others: Posts, first: Array, tube: Tube) -> Rivals:
+def coords_by_side(own: BackboneCoords, others: BackboneCoords, first: Array, tube: Tube) -> RelativeCoords:
     """The rivals among the candidates [candidates, 2, cells], FAR if they lie on the other side."""
-    rivals, is_ahead = see_others(own, others, first, tube)
+    rivals, is_ahead = relative_coords(own, others, first, tube)
     half = jnp.where(is_ahead == jnp.array([False, True])[:, None], rivals.half, FAR)
     return rivals._replace(half=half, slant=0.25 / half)
 
 
-def meeting(grid: Grid, rival: Rivals, tube: Tube) -> Array:
+def crossing(grid: LineFrame, rival: RelativeCoords, tube: Tube) -> Array:
     """The reach h = |dx| / 2 + (f_j - f_i) / (2 |dx|) against rivals, on lines."""
     sagitta = grid.sagitta_from(rival)
-    sunk = smaller(sagitta, grid.radius - tube.apical_radius)
-    farther = 2 * grid.radius * sagitta - grid.square(tube) - sunk * (2 * sagitta - sunk)
+    foot_depth = smaller(sagitta, grid.radius - tube.apical_radius)
+    farther = 2 * grid.radius * sagitta - grid.square(tube) - foot_depth * (2 * sagitta - foot_depth)
     return rival.half + farther * rival.slant

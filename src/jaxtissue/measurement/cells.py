@@ -9,12 +9,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxtissue.compilation.fusion import PUT, settled, taken
+from jaxtissue.compilation.fusion import SCATTER, fusion_barrier, take_rows
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.axial_lines import Posts, pick, posts, see_rivals, see_window
+from jaxtissue.measurement.axial_lines import (
+    BackboneCoords,
+    backbone_coords,
+    coords_by_side,
+    pick,
+    window_in_frame,
+)
 from jaxtissue.measurement.quadrature import Lines
-from jaxtissue.measurement.walls import END, Walls, stop, strips, walls
+from jaxtissue.measurement.walls import BOUNDARY, Walls, bounding_neighbor, strips, walls
 
 BLOCK = 48  # cells measured at once, whole vectors of 16; of 64 or 128 rows evict each other from the cache
 
@@ -51,7 +57,12 @@ class Window(NamedTuple):
 
 
 def measure_window(
-    own: Posts, others: Posts, first: Array, tube: Tube, lines: Lines, shift: Int[Array, "cells"]
+    own: BackboneCoords,
+    others: BackboneCoords,
+    first: Array,
+    tube: Tube,
+    lines: Lines,
+    shift: Int[Array, "cells"],
 ) -> Window:
     """Measure the cells of the backbones `own`, [cells], among their candidates, [candidates, 2, cells].
 
@@ -60,15 +71,15 @@ def measure_window(
     """
     dtype, truth = own.axial.dtype, own.axial[0] > -1
     ends = jnp.stack([own.axial, tube.length - own.axial])
-    grid = see_window(lines, dtype, shift, truth)
-    rivals = settled(lambda: see_rivals(own, others, first, tube), truth)
-    by = stop(grid, rivals, ends, tube, truth)
+    grid = window_in_frame(lines, dtype, shift, truth)
+    rivals = fusion_barrier(lambda: coords_by_side(own, others, first, tube), truth)
+    by = bounding_neighbor(grid, rivals, ends, tube, truth)
     wall = walls(by, rivals, ends, grid, tube, truth)
     inside, step = wall.reach[:, 0] + wall.reach[:, 1] > 0, lines.step(dtype, shift)
     strip = jnp.pad((inside[1:] | inside[:-1]) & (step[:-1] > 0), ((1, 1), (0, 0)))
     bears = strip[1:] | strip[:-1]
     edges = np.stack([lines.number == sign * np.array(lines.half)[lines.layer] for sign in (-1, 1)])
-    at_end = ((by == END) & (inside & bears)[:, None]).any(axis=(0, 1))
+    at_end = ((by == BOUNDARY) & (inside & bears)[:, None]).any(axis=(0, 1))
     (volume, area), *on_surfaces = integrate(wall, step, lines, truth)
     areas, perimeters = zip(*on_surfaces, strict=True) if on_surfaces else 2 * [(None, None)]
     sizes = CellGeometry(volume, area, *areas, *perimeters, touches_end=at_end)
@@ -86,7 +97,7 @@ def integrate(wall: Walls, step: Array, lines: Lines, truth: Array) -> list[tupl
 
     def summed(rows: slice, weights: Array, tilt: Array) -> tuple[Array, Array]:
         part = jax.tree.map(lambda table: table[rows], wall)
-        sizes = settled(lambda: strips(part, tilt[rows], step[rows]), truth)
+        sizes = fusion_barrier(lambda: strips(part, tilt[rows], step[rows]), truth)
         weights = (weights * radius)[rows][:-1].astype(sizes.dtype)
         total = jnp.matmul(weights, sizes, precision=jax.lax.Precision.HIGHEST)
         return total.real, total.imag
@@ -137,8 +148,8 @@ def through_windows(
             to = jnp.where(onward, (queue.end + rank - 1) % capacity, capacity)
             item, onto = jnp.broadcast_to(items, onward.shape), shift + jnp.array([[-1], [1]], jnp.int32)
             return (
-                queue.item.at[to].set(item, **PUT),
-                queue.shift.at[to].set(onto, **PUT),
+                queue.item.at[to].set(item, **SCATTER),
+                queue.shift.at[to].set(onto, **SCATTER),
                 queue.end + rank[-1, -1],
             )
 
@@ -163,9 +174,7 @@ class Survey(NamedTuple):
     wide: Bool[Array, "cells"]  # the cell goes on beyond the middle window
     reach: Float[Array, "cells 2 row"]  # of the middle window
     touched: Bool[Array, "cells 2 candidates"]  # the candidate stops the cell on some line that bears on it
-    stops: Bool[
-        Array, "cells 2 candidates"
-    ]  # or on another of the middle window, which else might bear on it
+    stops: Bool[Array, "cells 2 candidates"]  # or on another of the middle window, which else might bear on it
 
 
 @usual_modes()
@@ -186,7 +195,7 @@ def measure_cells(
     Paper, section 3.1.
     """
     which = jnp.arange(len(positions), dtype=jnp.int32) if cells is None else jnp.asarray(cells)
-    neighbors, table, size = jnp.asarray(neighbors), posts(positions), len(which)
+    neighbors, table, size = jnp.asarray(neighbors), backbone_coords(positions), len(which)
     width = min(size, BLOCK)
     dtype = positions.dtype
     blank = jnp.zeros(size, dtype)
@@ -200,14 +209,14 @@ def measure_cells(
     )
 
     def measure(items: Array, shift: Array, done: Survey) -> tuple[Survey, Array]:
-        members = taken(which, items)
-        rivals = taken(neighbors, members).transpose(2, 1, 0)
+        members = take_rows(which, items)
+        rivals = take_rows(neighbors, members).transpose(2, 1, 0)
         own, others = pick(table, members), pick(table, rivals)
         window = measure_window(own, others, rivals < members, tube, lines, shift)
         onward = window.onward
         if all_round is not None:
             further = (lines.step(dtype, shift + side).any(axis=0) for side in (-1, 1))
-            onward |= taken(all_round, members) & jnp.stack(list(further))
+            onward |= take_rows(all_round, members) & jnp.stack(list(further))
         return add_window(items, shift, window, done), onward
 
     found = through_windows(measure, size, size, width, start)
@@ -219,17 +228,17 @@ def add_window(items: Array, shift: Array, window: Window, done: Survey) -> Surv
 
     def add(known: Array, more: Array) -> Array:
         if known.dtype == bool:
-            return known.at[items].max(more, **PUT)
-        return known.at[items].add(more, **PUT)
+            return known.at[items].max(more, **SCATTER)
+        return known.at[items].add(more, **SCATTER)
 
     at = jnp.where(shift == 0, items, len(done.wide))
     side, none = jnp.arange(2)[:, None], done.touched.shape[2]
-    stopper = jnp.where(window.by == END, none, window.by).transpose(2, 1, 0)
+    stopper = jnp.where(window.by == BOUNDARY, none, window.by).transpose(2, 1, 0)
     toucher = jnp.where(window.reach.transpose(2, 1, 0) > -jnp.inf, stopper, none)
     return Survey(
         jax.tree.map(add, done.sizes, window.sizes),
-        done.wide.at[at].set(window.onward.any(axis=0), **PUT),
-        done.reach.at[at].set(window.reaches(done.reach.shape[2]), **PUT),
-        done.touched.at[items[:, None, None], side, toucher].set(True, **PUT),
-        done.stops.at[at[:, None, None], side, stopper].set(True, **PUT),
+        done.wide.at[at].set(window.onward.any(axis=0), **SCATTER),
+        done.reach.at[at].set(window.reaches(done.reach.shape[2]), **SCATTER),
+        done.touched.at[items[:, None, None], side, toucher].set(True, **SCATTER),
+        done.stops.at[at[:, None, None], side, stopper].set(True, **SCATTER),
     )

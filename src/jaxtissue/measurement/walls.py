@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Int
 
-from jaxtissue.compilation.fusion import arctan, larger, settled, smaller, taken
+from jaxtissue.compilation.fusion import arctan, fusion_barrier, larger, smaller, take_rows
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.axial_lines import FAR, LEVEL, Grid, Rivals, meeting
+from jaxtissue.measurement.axial_lines import FAR, LEVEL, LineFrame, RelativeCoords, crossing
 
-END = -1
+BOUNDARY = -1
 CHUNK = 24  # most candidates in one unrolled loop: of 8 it compiles 2 s sooner, and takes twice as long
 UNROLLED = 48  # most candidates whose loops follow each other without a loop around them
 
@@ -40,7 +40,9 @@ class Walls(NamedTuple):
         return self.tangent.imag
 
 
-def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> Int[Array, "lines 2 cells"]:
+def bounding_neighbor(
+    grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube, truth: Array
+) -> Int[Array, "lines 2 cells"]:
     """Who stops each cell on each line, behind and ahead; END: the tube.
 
     The candidate's number rides in the lowest bits of its reach, so that one value is carried along (two
@@ -55,9 +57,9 @@ def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> I
     recast = jax.lax.bitcast_convert_type
     line = jax.tree.map(lambda table: table[:, None], grid)
 
-    def nearer(least: Array, among: Rivals, first: Array | int) -> Array:
+    def nearer(least: Array, among: RelativeCoords, first: Array | int) -> Array:
         for number in range(len(among.half)):
-            reach = meeting(line, jax.tree.map(lambda table, at=number: table[at], among), tube)
+            reach = crossing(line, jax.tree.map(lambda table, at=number: table[at], among), tube)
             coded = recast((recast(reach, integer) & (-1 << bits)) | (first + number), ends.dtype)
             least = jnp.where(coded < least, coded, least)
         return least
@@ -67,21 +69,21 @@ def stop(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> I
         chunks = -(-candidates // CHUNK)
         for part in np.array_split(np.arange(candidates), chunks):
             some = jax.tree.map(lambda table, at=slice(part[0], part[-1] + 1): table[at], rivals)
-            least = settled(lambda least=least, some=some, at=part[0]: nearer(least, some, at), truth)
+            least = fusion_barrier(lambda least=least, some=some, at=part[0]: nearer(least, some, at), truth)
     else:
         tables = in_chunks(rivals)
         chunks, length = tables.half.shape[:2]
         first = length * jnp.arange(chunks, dtype=integer)
 
-        def more(least: Array, some: tuple[Rivals, Array]) -> tuple[Array, None]:
-            return settled(lambda: nearer(least, *some), truth), None
+        def more(least: Array, some: tuple[RelativeCoords, Array]) -> tuple[Array, None]:
+            return fusion_barrier(lambda: nearer(least, *some), truth), None
 
         least, _ = jax.lax.scan(more, least, (tables, first))
     winner = (recast(least, integer) & ((1 << bits) - 1)).astype(jnp.int32)
-    return jnp.where(least < ends, winner, END)
+    return jnp.where(least < ends, winner, BOUNDARY)
 
 
-def in_chunks(rivals: Rivals) -> Rivals:
+def in_chunks(rivals: RelativeCoords) -> RelativeCoords:
     """Rivals in tables of CHUNK at most, [chunks, length, 2, cells], the last one padded with nobody."""
     candidates, *shape = rivals.half.shape
     chunks = -(-candidates // CHUNK)
@@ -91,38 +93,38 @@ def in_chunks(rivals: Rivals) -> Rivals:
         jnp.pad(table, spare, constant_values=nobody).reshape(chunks, length, *shape)
         for table, nobody in zip(rivals, (FAR, 0.0, 0.0, 0.0), strict=True)
     )
-    return Rivals(*padded)
+    return RelativeCoords(*padded)
 
 
-def least_reach(grid: Grid, rivals: Rivals, ends: Array, tube: Tube, truth: Array) -> Array:
+def least_reach(grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube, truth: Array) -> Array:
     """How far each cell reaches on each line, behind and ahead, [lines, 2, cells]: as in its `walls`."""
     line = jax.tree.map(lambda table: table[:, None], grid)
 
-    def nearer(least: Array, some: Rivals) -> tuple[Array, None]:
+    def nearer(least: Array, some: RelativeCoords) -> tuple[Array, None]:
         def compare() -> Array:
             nearest = least
             for number in range(len(some.half)):
                 rival = jax.tree.map(lambda table, at=number: table[at], some)
-                nearest = smaller(meeting(line, rival, tube), nearest)
+                nearest = smaller(crossing(line, rival, tube), nearest)
             return nearest
 
-        return settled(compare, truth), None
+        return fusion_barrier(compare, truth), None
 
     start = jnp.broadcast_to(ends, (len(grid.z), *ends.shape))
     return jax.lax.scan(nearer, start, in_chunks(rivals))[0]
 
 
-def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth: Array) -> Walls:
+def walls(by: Array, rivals: RelativeCoords, ends: Array, grid: LineFrame, tube: Tube, truth: Array) -> Walls:
     """Reach, slope and tilt of the walls that end each cell, against the rival there.
 
     A rival's turn is one complex number, versine + i sine: gathering two real ones takes twice as long. Walls
     that are level are seldom there, and only then looked for.
     """
-    cells, end = by.shape[-1], by == END
+    cells, end = by.shape[-1], by == BOUNDARY
     at = jnp.maximum(by, 0) * (2 * cells) + jnp.arange(2 * cells, dtype=by.dtype).reshape(2, cells)
 
     def facing(table: Array) -> Array:
-        return settled(lambda: taken(table.ravel(), at), truth)
+        return fusion_barrier(lambda: take_rows(table.ravel(), at), truth)
 
     turn, half = facing(jax.lax.complex(rivals.versine, rivals.sine)), facing(rivals.half)
     line = jax.tree.map(lambda table: table[:, None], grid)
@@ -130,13 +132,13 @@ def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth:
 
     def wall(some_level: bool) -> Walls:
         per_gap = 0.5 / half
-        rival = Rivals(half, per_gap / 2, turn.real, turn.imag)
-        reach, sagitta = meeting(line, rival, tube), line.sagitta_from(rival)
-        sunk, own_sunk = smaller(sagitta, line.radius - tube.apical_radius), line.sunk(tube)
-        slope = ((line.radius - sunk) * line.across(rival) - (line.radius - own_sunk) * line.y) * per_gap
+        rival = RelativeCoords(half, per_gap / 2, turn.real, turn.imag)
+        reach, sagitta = crossing(line, rival, tube), line.sagitta_from(rival)
+        foot_depth, own_sunk = smaller(sagitta, line.radius - tube.apical_radius), line.foot_depth(tube)
+        slope = ((line.radius - foot_depth) * line.across(rival) - (line.radius - own_sunk) * line.y) * per_gap
         # the feet's s z = (r - m) (r - g), less the common r^2
-        lower = line.radius * (own_sunk + line.sagitta - sunk - sagitta)
-        tilt = (lower + sunk * sagitta - own_sunk * line.sagitta) * per_gap
+        lower = line.radius * (own_sunk + line.sagitta - foot_depth - sagitta)
+        tilt = (lower + foot_depth * sagitta - own_sunk * line.sagitta) * per_gap
         if some_level:
             slope, tilt = towards_plane(rival, line, reach, (slope, tilt), tube)
         slope = jnp.where(end, 0, slope)
@@ -149,13 +151,13 @@ def walls(by: Array, rivals: Rivals, ends: Array, grid: Grid, tube: Tube, truth:
     return jax.lax.cond(level, lambda: wall(True), lambda: wall(False))
 
 
-def is_level(rivals: Rivals, tube: Tube) -> Array:
+def is_level(rivals: RelativeCoords, tube: Tube) -> Array:
     """Whether walls are as close to parallel to the axis as `see_others` lets them, but for rounding."""
     return rivals.half**2 <= (0.5005 * LEVEL * tube.apical_radius) ** 2 * 2 * rivals.versine
 
 
 def towards_plane(
-    rival: Rivals, line: Grid, reach: Array, slopes: tuple[Array, Array], tube: Tube
+    rival: RelativeCoords, line: LineFrame, reach: Array, slopes: tuple[Array, Array], tube: Tube
 ) -> tuple[Array, Array]:
     """Slope and tilt, of walls that are level: all but the radial plane half way between two backbones.
 

@@ -16,10 +16,10 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import sparse
 
-from jaxtissue.compilation.fusion import options, settled
+from jaxtissue.compilation.fusion import fusion_barrier, options
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.axial_lines import LEVEL, pick, posts, see_rivals, see_turned
+from jaxtissue.measurement.axial_lines import LEVEL, backbone_coords, coords_by_side, pick, turned_in_frame
 from jaxtissue.measurement.cells import BLOCK
 from jaxtissue.measurement.quadrature import REACH
 from jaxtissue.measurement.walls import least_reach
@@ -88,19 +88,17 @@ class Attempt(NamedTuple):
     has_all: bool
 
 
-def candidate_lists(
-    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0
-) -> Iterator[Attempt]:
+def candidate_lists(positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0) -> Iterator[Attempt]:
     """Longer and longer lists, from NEAREST up to everyone."""
     count = NEAREST
     while True:
         most = A_SIDE * count // NEAREST
-        sides = sided(nearest(positions, tube, count), positions, tube, margin, most=most)
+        sides = split_by_side(nearest_along_axis(positions, tube, count), positions, tube, margin, most=most)
         yield Attempt(sides, most >= len(positions) - 1)
         count += count // 2
 
 
-def nearest(
+def nearest_along_axis(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube, count: int
 ) -> Int[np.ndarray, "n count"]:
     """The `count` backbones nearest to each by `spacing`, among those next to it along the axis, in order."""
@@ -124,12 +122,12 @@ def nearest(
         cosine += sine
         score = spacing_at(some[0] - own[0], cosine, *radii)
         score[:, window] = np.inf
-        rank = least(score, count) + np.arange(start - window, start - window + len(score))[:, None]
+        rank = lowest_columns(score, count) + np.arange(start - window, start - window + len(score))[:, None]
         lists[order[start : start + ROWS]] = order[rank]
     return lists
 
 
-def least(scores: Float[np.ndarray, "... columns"], count: int) -> Int[np.ndarray, "... count"]:
+def lowest_columns(scores: Float[np.ndarray, "... columns"], count: int) -> Int[np.ndarray, "... count"]:
     """Columns of about the `count` lowest scores of each row, in order; scores are at least 0.
 
     Score and column are coded as one integer, since a partition of those is fast. So scores are compared to
@@ -175,10 +173,10 @@ def contact_graph(
 ) -> sparse.csr_array:
     """Who stops whom, as a symmetric [n, n] matrix."""
     at = np.flatnonzero(touched)
-    return linked(at // sides[0].size, sides.reshape(-1)[at], len(sides))
+    return symmetric_graph(at // sides[0].size, sides.reshape(-1)[at], len(sides))
 
 
-def linked(first: Int[np.ndarray, "pairs"], second: Int[np.ndarray, "pairs"], n: int) -> sparse.csr_array:
+def symmetric_graph(first: Int[np.ndarray, "pairs"], second: Int[np.ndarray, "pairs"], n: int) -> sparse.csr_array:
     """Pairs of `n` cells as a symmetric matrix of bools, [n, n], without diagonal.
 
     >>> linked(np.array([0, 2, 2]), np.array([1, 0, 2]), 3).toarray().astype(int)
@@ -195,7 +193,7 @@ def linked(first: Int[np.ndarray, "pairs"], second: Int[np.ndarray, "pairs"], n:
     return sparse.csr_array((np.ones(len(cell), bool), other.astype(np.int32), start), shape=(n, n))
 
 
-def sided(
+def split_by_side(
     lists: Int[np.ndarray, "n candidates"],
     positions: Float[Array | np.ndarray, "n 2"],
     tube: Tube,
@@ -222,10 +220,10 @@ def sided(
     ordered.sort(axis=2)
     few = (ordered[..., :width] & (1 << bits) - 1).astype(np.int32)
     few.sort(axis=2)
-    return padded(few, width)
+    return pad_lists(few, width)
 
 
-def padded(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.ndarray, "n ... width"]:
+def pad_lists(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.ndarray, "n ... width"]:
     """Lists lengthened to `width` with the cell itself."""
     own = np.arange(len(lists), dtype=np.int32).reshape(-1, *[1] * (lists.ndim - 1))
     more = np.broadcast_to(own, (*lists.shape[:-1], max(0, width - lists.shape[-1])))
@@ -272,7 +270,7 @@ def check_lists(
     share, angle = jnp.linspace(0, 1, layers, dtype=dtype), jnp.asarray(angles, dtype).ravel()[:, None]
     radius = jnp.repeat(tube.apical_radius + share * (tube.basal_radius - tube.apical_radius), count)[:, None]
     turn = jax.lax.complex(jnp.cos(angle), jnp.sin(angle))
-    place, lists = posts(positions), jnp.asarray(sides)
+    place, lists = backbone_coords(positions), jnp.asarray(sides)
     width = min(n, BLOCK)
     near = radius * jnp.cos(jnp.minimum(far_angle(tube, n, radius), math.pi))
 
@@ -283,8 +281,8 @@ def check_lists(
         numbers = lists[cells].transpose(2, 1, 0)
         own, others = pick(place, cells), pick(place, numbers)
         ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
-        rivals = settled(lambda: see_rivals(own, others, numbers < cells, tube), truth)
-        grid = settled(lambda: see_turned(radius, turn, own), truth)
+        rivals = fusion_barrier(lambda: coords_by_side(own, others, numbers < cells, tube), truth)
+        grid = fusion_barrier(lambda: turned_in_frame(radius, turn, own), truth)
         length = least_reach(grid, rivals, ends, tube, truth).sum(axis=1)
         is_far = ((length > 0) & (grid.z < near)).any(axis=0)
         spare = jnp.where(which < n, jnp.maximum(length, 0) - tube.length / n, 0)

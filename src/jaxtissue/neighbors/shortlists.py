@@ -12,22 +12,22 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import sparse
 
-from jaxtissue.compilation.fusion import larger, settled, smaller, taken
+from jaxtissue.compilation.fusion import fusion_barrier, larger, smaller, take_rows
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.axial_lines import (
     FAR,
-    Grid,
-    Posts,
-    meeting,
+    BackboneCoords,
+    LineFrame,
+    backbone_coords,
+    crossing,
+    lines_in_frame,
     pick,
-    posts,
-    see_lines,
-    see_others,
+    relative_coords,
     turn_between,
 )
 from jaxtissue.measurement.cells import BLOCK, Survey, measure_cells
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines
-from jaxtissue.neighbors.search import least, linked, padded, spacing_at
+from jaxtissue.neighbors.search import lowest_columns, pad_lists, spacing_at, symmetric_graph
 
 CANDIDATES = 22  # on each side of a cell: three times as many as bound it
 FEW = 500  # cells for which these do; of more, one lacks a candidate as seldom if all have more
@@ -61,22 +61,22 @@ def clearance(
     n, dtype = len(positions), positions.dtype
     width = min(n, BLOCK)
     blocks = -(-n // width)
-    place, lists = posts(positions), jnp.pad(sides, ((0, blocks * width - n), (0, 0), (0, 0)))
-    grid = jax.tree.map(lambda column: column[:, 0], see_lines(lines, dtype))
+    place, lists = backbone_coords(positions), jnp.pad(sides, ((0, blocks * width - n), (0, 0), (0, 0)))
+    grid = jax.tree.map(lambda column: column[:, 0], lines_in_frame(lines, dtype))
 
     def block(start: Array) -> Array:
         which = start + jnp.arange(width)
-        those = taken(lists, which).transpose(2, 1, 0)
+        those = take_rows(lists, which).transpose(2, 1, 0)
         own, others = pick(place, which), pick(place, those)
         ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
-        rivals, is_ahead = settled(lambda: see_others(own, others, those < which, tube), truth)
-        here = settled(lambda: jnp.where(is_ahead == jnp.array([False, True])[:, None], 0.0, FAR), truth)
+        rivals, is_ahead = fusion_barrier(lambda: relative_coords(own, others, those < which, tube), truth)
+        here = fusion_barrier(lambda: jnp.where(is_ahead == jnp.array([False, True])[:, None], 0.0, FAR), truth)
 
-        def nearer(least: Array, at: Grid) -> tuple[Array, None]:
-            meets = settled(lambda: meeting(at, rivals, tube), truth)
+        def nearer(closest: Array, at: LineFrame) -> tuple[Array, None]:
+            meets = fusion_barrier(lambda: crossing(at, rivals, tube), truth)
 
-            first = settled(lambda: lowest_above(-jnp.inf, meets, here, ends), truth)
-            second = settled(lambda: lowest_above(first, meets, here, ends), truth)
+            first = fusion_barrier(lambda: lowest_above(-jnp.inf, meets, here, ends), truth)
+            second = fusion_barrier(lambda: lowest_above(first, meets, here, ends), truth)
 
             def nearest() -> Array:
                 z, y = at.radius - at.sagitta_from(rivals), at.across(rivals)
@@ -84,18 +84,17 @@ def clearance(
                 speed = (second - 2 * rivals.half) ** 2 + around**2
                 lacking = larger(-(second[0] + second[1]), 0.0)
                 past = larger(meets - second, 0.0) ** 2 + STAYS * (meets - first) ** 2 + lacking**2
-                way = past * (2 * rivals.half) ** 2 / larger(speed, TINY)
-                return jnp.where(way < least, way, least)
+                return smaller(past * (2 * rivals.half) ** 2 / larger(speed, TINY), closest)
 
-            return settled(nearest, truth), None
+            return fusion_barrier(nearest, truth), None
 
-        least, _ = jax.lax.scan(nearer, jnp.full(rivals.half.shape, jnp.inf, dtype), grid)
+        closest, _ = jax.lax.scan(nearer, jnp.full(rivals.half.shape, jnp.inf, dtype), grid)
         beyond = larger(jnp.array([[1], [-1]]) * (others.axial - own.axial), 0.0)  # not yet on that side
-        least = jnp.maximum(least + ACROSS * beyond**2, TINY)
-        return jnp.where(rivals.half < FAR, least, jnp.inf).transpose(2, 1, 0)
+        closest = jnp.maximum(closest + ACROSS * beyond**2, TINY)
+        return jnp.where(rivals.half < FAR, closest, jnp.inf).transpose(2, 1, 0)
 
-    least = jax.lax.map(block, width * jnp.arange(blocks))
-    return least.reshape(blocks * width, *sides.shape[1:])[:n]
+    closest = jax.lax.map(block, width * jnp.arange(blocks))
+    return closest.reshape(blocks * width, *sides.shape[1:])[:n]
 
 
 def lowest_above(above: Array | float, meets: Array, here: Array, ends: Array) -> Array:
@@ -111,8 +110,8 @@ def distances(
     positions: Float[Array, "n 2"], tube: Tube, sides: Int[Array, "n 2 candidates"]
 ) -> Float[Array, "n 2 candidates"]:
     """From each backbone to its candidates, as `candidates.spacing`, not squared; never 0."""
-    place = posts(positions)
-    own, others = Posts(*(column[:, None, None] for column in place)), pick(place, sides)
+    place = backbone_coords(positions)
+    own, others = BackboneCoords(*(column[:, None, None] for column in place)), pick(place, sides)
     cosine = 1 - turn_between(own, others)[0]
     radii = tube.apical_radius, tube.basal_radius
     return jnp.sqrt(spacing_at(others.axial - own.axial, cosine, *radii, xp=jnp) + TINY)
@@ -133,13 +132,13 @@ def nearest_sides(
     sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"], count: int
 ) -> Int[np.ndarray, "n 2 count"]:
     """The `count` candidates on each side whose walls are nearest to the cell, by number as on long lists."""
-    kept = least(clear, count)
+    kept = lowest_columns(clear, count)
     sides, clear = (np.take_along_axis(table, kept, axis=2) for table in (sides, clear))
     own = np.arange(len(sides), dtype=sides.dtype)[:, None, None]
-    return padded(np.sort(np.where(np.isfinite(clear), sides, own), axis=2), count)
+    return pad_lists(np.sort(np.where(np.isfinite(clear), sides, own), axis=2), count)
 
 
-def both_views(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "2 pairs"]:
+def mutual_entries(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "2 pairs"]:
     """Where in `sides`, as flat places, each pair has both its views: the two list each other, on sides that
     agree on who is ahead.
 
@@ -163,7 +162,7 @@ def both_views(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "2 p
     return np.stack([cell * row + (at & (1 << bits) - 1) for cell, at in zip(cells, places, strict=True)])
 
 
-def see(
+def survey_tissue(
     positions: Float[Array, "n 2"],
     tube: Tube,
     lines: tuple[Lines, Lines],
@@ -183,7 +182,7 @@ def from_both(
 ) -> Float[np.ndarray, "n 2 candidates"]:
     """The smaller clearance of both views of each pair, as first orders err on one side.
 
-    `views` are `both_views` of the lists.
+    `views` are `mutual_entries` of the lists.
     """
     each = clear.reshape(-1)
     first, second = each[views]
@@ -196,7 +195,7 @@ def from_both(
 def around(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n around"]:
     """Of each cell all who have it among their candidates, and its own; padded with itself."""
     n = len(sides)
-    return packed_rows(linked(np.repeat(np.arange(n), sides[0].size), sides.reshape(-1), n))
+    return packed_rows(symmetric_graph(np.repeat(np.arange(n), sides[0].size), sides.reshape(-1), n))
 
 
 def packed_rows(graph: sparse.csr_array) -> Int[np.ndarray, "n width"]:

@@ -169,10 +169,7 @@ def measure_runs(plan: Plan, store: Store) -> Table:
     keys = [(*kind, seed) for kind in kinds for seed in range(plan.seeds)]
     annealings = {kind: plan.annealing(BASAL_RADIUS / kind[0], kind[1]) for kind in kinds}
     runs = store.anneal([(annealings[key[:2]], key[2]) for key in keys])
-    calls = [
-        (run.positions, annealings[key[:2]].tube, key[1] == "is-mh")
-        for key, run in zip(keys, runs, strict=True)
-    ]
+    calls = [(run.positions, annealings[key[:2]].tube, key[1] == "is-mh") for key, run in zip(keys, runs, strict=True)]
     spreads = dict(store.workers.run(_spread, calls))
     tables = []
     for number, ((radius, algorithm, seed), run) in enumerate(zip(keys, runs, strict=True)):

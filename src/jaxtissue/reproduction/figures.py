@@ -137,9 +137,7 @@ def plot_volume_ranks(table: Table, mean_volume: float, length: float) -> tuple[
     for ends, color, marker, label in ((0, _BLUE, ".", "inner cells"), (1, _ORANGE, "x", "cells at an end")):
         at = last["is_end"] == ends
         axes[1].plot(last["axial"][at], off[at], marker, color=color, ms=4, alpha=0.6, label=label)
-    axes[1].set(
-        xlabel="axial position (tube units)", ylabel="distance to the mean volume (%)", xlim=(0, length)
-    )
+    axes[1].set(xlabel="axial position (tube units)", ylabel="distance to the mean volume (%)", xlim=(0, length))
     axes[1].set_title(f"Where volumes are off after {sweeps[-1]:g} sweeps, all runs")
     for panel in axes:
         panel.grid(color="0.92")

@@ -101,9 +101,7 @@ def plot_scutoid(
     unrolled = figure.add_subplot(grid[0, 2])
     _draw_unrolled(unrolled, shape, colors, lines, local)
     shown = [kind for kind in KIND_COLORS if kind in kinds.values()]
-    marks: list[Any] = [
-        Patch(color=KIND_COLORS[kind], label=f"{KIND_LABELS[kind]} neighbor") for kind in shown
-    ]
+    marks: list[Any] = [Patch(color=KIND_COLORS[kind], label=f"{KIND_LABELS[kind]} neighbor") for kind in shown]
     marks += [Patch(fc=_CAP, ec=_EDGE, label="basal surface")]
     dot = Line2D([], [], ls="", marker="o", color="black", markerfacecolor="white", label="transition point")
     figure.legend(handles=[*marks, dot], loc="outside lower center", ncols=3)
@@ -158,16 +156,12 @@ def _draw(
     ribbons = np.stack([first - aside, first + aside, last + aside, last - aside], axis=1)
     ribbons += 0.02 * size * view.toward
     colors = np.concatenate([*painted, np.tile(to_rgba(_EDGE), (len(ribbons), 1))])
-    axes.add_collection3d(
-        Poly3DCollection(np.concatenate([corners, ribbons]), fc=colors, ec=colors, linewidths=0.3)
-    )
+    axes.add_collection3d(Poly3DCollection(np.concatenate([corners, ribbons]), fc=colors, ec=colors, linewidths=0.3))
     axes.view_init(elev=view.elevation, azim=view.azimuth)
 
 
 def _paint(shape: CellShape, colors: Mapping[int, Any], rest: Any, view: View) -> np.ndarray:
-    faces = np.array(
-        [to_rgba(colors.get(int(label), rest if label >= 0 else _CAP)) for label in shape.behind]
-    )
+    faces = np.array([to_rgba(colors.get(int(label), rest if label >= 0 else _CAP)) for label in shape.behind])
     corner = np.moveaxis(shape.corners, 1, 0)
     normal = np.cross(corner[2] - corner[0], corner[3] - corner[1])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)

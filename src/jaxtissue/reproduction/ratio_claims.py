@@ -18,9 +18,7 @@ from jaxtissue.reproduction.experiments import THRESHOLDS, Plan, Table
 from jaxtissue.topology.neighbor_law import fit_neighbor_law
 
 _GLAND = "real cells, in glands of many ratios; nothing to be met"
-_PLATEAU = (
-    "every wall counts as a contact here; their number goes on growing with the ratio, as Fig. 12 explains"
-)
+_PLATEAU = "every wall counts as a contact here; their number goes on growing with the ratio, as Fig. 12 explains"
 _SMALL = "every wall counts as a contact here; without the smallest walls the share is lower"
 _LUMEN = "at large ratios cells wrap round the lumen and share fewer walls on the apical surface"
 _DEGREE = "it is the number of neighbors on the apical surface, almost 6, + half that of transition points"

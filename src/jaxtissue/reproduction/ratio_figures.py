@@ -71,9 +71,7 @@ def plot_transitions(table: Table, law: NeighborLaw | None = None) -> tuple[Figu
     _draw_gland(axes[0], published.GLAND.transitions)
     _draw_gland(axes[2], 100 * published.GLAND.scutoid_fraction)
     ratio, fraction = published.SCUTOIDS_ABOVE
-    axes[2].plot(
-        [ratio, table["ratio"].max()], 2 * [100 * fraction], "k--", lw=1, label="paper: over 90 % from 2 on"
-    )
+    axes[2].plot([ratio, table["ratio"].max()], 2 * [100 * fraction], "k--", lw=1, label="paper: over 90 % from 2 on")
     names = (
         "mean transition points of a cell",
         "largest number of transition points",
@@ -93,9 +91,7 @@ def plot_kinds(table: Table) -> tuple[Figure, np.ndarray]:
         band(axes[0], rows["ratio"], rows[f"{name}_neighbors"], color, dashes, label)
     _draw_thresholds(axes[1], table, "internal_neighbors")
     _draw_thresholds(axes[2], table, "internal_fraction", 100)
-    axes[1].axhline(
-        published.INTERNAL_NEIGHBORS, color="black", ls="--", lw=1, label="paper: about 1 at most"
-    )
+    axes[1].axhline(published.INTERNAL_NEIGHBORS, color="black", ls="--", lw=1, label="paper: about 1 at most")
     ratio, fraction = published.INTERNAL_FRACTION
     axes[2].plot(ratio, 100 * fraction, "D", label="paper: 65 % at 10", **_PAPER)
     titles = (

@@ -28,10 +28,7 @@ def measure_ratios(plan: Plan, store: Store) -> Table:
     missing = [key for key in keys if found[key] is None]
     annealed = [(ratio, seed) for ratio, kind, seed in missing if kind == "annealed"]
     runs = store.anneal([(plan.annealing(ratio), seed) for ratio, seed in annealed])
-    places = {
-        (ratio, "annealed", seed): run.positions[-1]
-        for (ratio, seed), run in zip(annealed, runs, strict=True)
-    }
+    places = {(ratio, "annealed", seed): run.positions[-1] for (ratio, seed), run in zip(annealed, runs, strict=True)}
     for ratio, kind, seed in missing:
         if kind != "annealed":
             places[ratio, kind, seed] = np.asarray(random_tissue(plan.tube(ratio), plan.cells, seed))

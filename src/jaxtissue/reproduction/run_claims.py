@@ -44,17 +44,13 @@ def judge_cell(tables: Mapping[str, Table], plan: Plan) -> Claims:
     met = None if plan.quick else near(after[cell], mean, 0.1)
     why = QUICK_SIZES if plan.quick else "" if met else "it is one cell; the next statement is on all like it"
     says = "a cell grows from a volume of 9 to 40, where the mean is 44; ours is the smallest of one run"
-    claims.add(
-        says, numbers, met, "its volume ends within 10 % of the mean; 44 is the mean of neither R_a", why
-    )
+    claims.add(says, numbers, met, "its volume ends within 10 % of the mean; 44 is the mean of neither R_a", why)
     small = before < 0.25 * mean
     middle = float(np.median(after[small])) / mean if small.any() else np.nan
     numbers = paper, f"median of {small.sum()} cells: {middle:.0%}" if small.any() else "no such cell"
     met = None if plan.quick or not small.any() else near(middle, 1, 0.1)
     says = "cells that begin below a quarter of the mean volume grow to about the mean"
-    claims.add(
-        says, numbers, met, "their median ends within 10 % of the mean", QUICK_SIZES if plan.quick else ""
-    )
+    claims.add(says, numbers, met, "their median ends within 10 % of the mean", QUICK_SIZES if plan.quick else "")
     return claims
 
 
@@ -90,9 +86,7 @@ def _judge_run(claims: Claims, table: Table, radius: float, plan: Plan) -> None:
     claims.add(f"the energy falls slowly in the end, {at}", numbers, met, "0 to 10 % of the fall", why)
     last, other = energy[:, -1], by_seed(table, radius, "mh", "energy")[:, -1]
     low, high = mean_range(last / other)
-    ours = (
-        f"IS-MH {last.mean():,.0f}, MH {other.mean():,.0f}; IS-MH / MH of each seed: {low:.3f} to {high:.3f}"
-    )
+    ours = f"IS-MH {last.mean():,.0f}, MH {other.mean():,.0f}; IS-MH / MH of each seed: {low:.3f} to {high:.3f}"
     verdict = judge_range((low, high), 1 - ENERGIES, 1 + ENERGIES)
     claims.add(f"MH and IS-MH reach similar energies, {at}", ("words", ours), verdict, _ENERGY)
     least, most = published.TIGHTNESS_RANGE

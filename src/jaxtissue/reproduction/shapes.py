@@ -32,9 +32,7 @@ class CellShape(NamedTuple):
     behind: Int[np.ndarray, " quads"]
 
 
-def cut_cell(
-    positions: Float[np.ndarray, "n 2"], tube: Tube, cell: int, radius: float, offsets: np.ndarray
-) -> Section:
+def cut_cell(positions: Float[np.ndarray, "n 2"], tube: Tube, cell: int, radius: float, offsets: np.ndarray) -> Section:
     """A cell on the lines at one radius and at angular offsets from its backbone.
 
     With h = r cos(t - t_j) and s = max(h, R_a), d_j^2 = (x - x_j)^2 + g_j, g_j = r^2 - s (2 h - s), so that
@@ -133,9 +131,7 @@ def to_cell_frame(points: Float[np.ndarray, "... 3"], position: np.ndarray) -> F
     return np.stack([x - axial, z * cosine - y * sine, y * cosine + z * sine], axis=-1)
 
 
-def _angular_reach(
-    positions: Float[np.ndarray, "n 2"], tube: Tube, cell: int, radius: float
-) -> tuple[float, float]:
+def _angular_reach(positions: Float[np.ndarray, "n 2"], tube: Tube, cell: int, radius: float) -> tuple[float, float]:
     """The offsets from which to which a cell reaches around its backbone, at most half a turn each way."""
     reach, grid = [], np.linspace(0, np.pi, 241)
     for side in (-1, 1):

@@ -84,9 +84,7 @@ def _judge_rounds(claims: Claims, table: Table) -> None:
     numbers = _by_radius(table, theirs), f"near rule, sets: {_by_radius(table, table['near_sets'])}"
     claims.add("IS-MH takes fewer rounds at R_a = 5 than at 1", numbers, (five < one).all(), "at every n")
     grows = [sets[-1] / sets[0] for sets in (one, five)]
-    told = [
-        published.TABLE_1[radius, 1000].rounds / published.TABLE_1[radius, 100].rounds for radius in RADII
-    ]
+    told = [published.TABLE_1[radius, 1000].rounds / published.TABLE_1[radius, 100].rounds for radius in RADII]
     numbers = f"x {listed(told, '.2f')}, for x 10 cells", f"near rule, sets: x {listed(grows, '.2f')}"
     met, why = (max(grows) < 2, "") if len(one) > 1 else (None, QUICK_SIZES)
     claims.add("the number of rounds grows only mildly with n", numbers, met, "less than twofold", why)
@@ -95,10 +93,7 @@ def _judge_rounds(claims: Claims, table: Table) -> None:
 def _judge_speed(claims: Claims, table: Table, turns: Table) -> None:
     seconds = {name: _seconds(turns, name) for name in ("whole", "mh", "near")}
     told = {at: row.mh_seconds / row.is_mh_seconds for at, row in published.TABLE_1.items()}
-    ratios = {
-        name: {at: seconds[name][at] / seconds["near"][at] for at in seconds["near"]}
-        for name in ("whole", "mh")
-    }
+    ratios = {name: {at: seconds[name][at] / seconds["near"][at] for at in seconds["near"]} for name in ("whole", "mh")}
     titles = {"whole": "MH with whole diagrams / IS-MH", "mh": "local MH / IS-MH"}
     shown = [f"{titles[name]}: {', '.join(map(spread, some.values()))}" for name, some in ratios.items()]
     verdict = judge_ranges([_range(ratio) for each in ratios.values() for ratio in each.values()], 1.0)
@@ -109,9 +104,7 @@ def _judge_speed(claims: Claims, table: Table, turns: Table) -> None:
     fewer = [f"n / (2 rounds): {_by_radius(table, count, '.1f')}" for count in (theirs, counts)]
     numbers = f"25 in the text, {max(told.values()):.3g} in Table 1; {fewer[0]}", fewer[1]
     large = 1000 in table["cells"]
-    met, why = (
-        (counts.max() >= 0.8 * published.SPEED_UP, f"{_COUNT}; {_NEAR}") if large else (None, QUICK_SIZES)
-    )
+    met, why = (counts.max() >= 0.8 * published.SPEED_UP, f"{_COUNT}; {_NEAR}") if large else (None, QUICK_SIZES)
     says = "IS-MH computes up to 25 times fewer diagrams, where both algorithms compute whole ones"
     claims.add(says, numbers, met, "at least 20 times fewer", why)
     rises = [np.diff(counts[table["apical_radius"] == radius]) for radius in RADII]
@@ -141,10 +134,7 @@ def _judge_growth(claims: Claims, turns: Table) -> None:
     cells = sorted({n for _, n in fast})
     double = [[seconds[radius, 1000] / seconds[radius, 500] for radius in RADII]
               for seconds in (whole, local)] if {500, 1000} <= set(cells) else []  # fmt: skip
-    told = [
-        published.TABLE_1[radius, 1000].mh_seconds / published.TABLE_1[radius, 500].mh_seconds
-        for radius in RADII
-    ]
+    told = [published.TABLE_1[radius, 1000].mh_seconds / published.TABLE_1[radius, 500].mh_seconds for radius in RADII]
     ours = [", ".join(f"x {spread(each)}" for each in some) for some in double] or 2 * ["-"]
     numbers = f"x {listed(told, '.2f')}", f"{ours[0]} (local MH, which is not compared: {ours[1]})"
     ranges = [_range(each) for each in double[0]] if double else []
@@ -196,9 +186,7 @@ def _seconds(turns: Table, name: str) -> dict[tuple[float, int], np.ndarray]:
     """Seconds of a sweep in every turn, by (R_a, n)."""
     places = dict.fromkeys(zip(turns["apical_radius"], turns["cells"].astype(int), strict=True))
     return {
-        (radius, cells): turns[f"{name}_seconds"][
-            (turns["apical_radius"] == radius) & (turns["cells"] == cells)
-        ]
+        (radius, cells): turns[f"{name}_seconds"][(turns["apical_radius"] == radius) & (turns["cells"] == cells)]
         for radius, cells in places
     }
 
@@ -210,9 +198,7 @@ def _theirs(table: Table, name: str) -> np.ndarray:
 
 
 def _by_radius(table: Table, values: np.ndarray, form: str = ".0f") -> str:
-    parts = (
-        f"{listed(values[table['apical_radius'] == radius], form)} (R_a = {radius:g})" for radius in RADII
-    )
+    parts = (f"{listed(values[table['apical_radius'] == radius], form)} (R_a = {radius:g})" for radius in RADII)
     return "; ".join(parts)
 
 

@@ -16,15 +16,15 @@ from jaxtissue.dynamics.coloring import CONFLICTS, color, distance_conflicts, ho
 from jaxtissue.dynamics.independent_sets import MEAN_MOVE, one_by_one
 from jaxtissue.dynamics.metropolis import draw, move_bound, propose
 from jaxtissue.dynamics.schedules import constant_schedule
-from jaxtissue.dynamics.survey import Surveyor
+from jaxtissue.dynamics.survey import TissueSurvey
 from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.energy import Model, tube_model
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.axial_lines import posts
+from jaxtissue.measurement.axial_lines import backbone_coords
 from jaxtissue.measurement.quadrature import PRESETS
 from jaxtissue.reproduction.experiments import BASAL_RADIUS, Plan, Store, Table, tabulate
 from jaxtissue.reproduction.tissues import TEMPERATURE, Annealing
-from jaxtissue.tissue.measurer import Gauge
+from jaxtissue.tissue.measurer import CellMeasurer
 from jaxtissue.topology.contacts import find_contacts
 
 WARM_UP = 2 * SPAN  # sweeps before the timed ones; from then on lists are renewed every SPAN sweeps
@@ -48,9 +48,7 @@ def measure_table(plan: Plan, store: Store) -> tuple[Table, Table]:
     are `covering_radius` and `tightness`.
     """
     annealings = [
-        Annealing(Tube(100.0, radius, BASAL_RADIUS), cells, WARM_UP)
-        for radius in RADII
-        for cells in plan.table_cells
+        Annealing(Tube(100.0, radius, BASAL_RADIUS), cells, WARM_UP) for radius in RADII for cells in plan.table_cells
     ]
     runs = store.anneal([(annealing, 0) for annealing in annealings])
     contests: list[Contest] = []
@@ -89,13 +87,13 @@ class Contest:
             for name, (algorithm, rule) in rules.items()
         }
         self.states = dict.fromkeys(rules, AnnealState(WARM_UP, positions))
-        self.gauge = Gauge(annealing.tube, PRESETS["draft"])
+        self.measurer = CellMeasurer(annealing.tube, PRESETS["draft"])
 
     def play(self) -> dict[str, float]:
         """One span of each: seconds of a sweep, rounds, and the share of the moves put off."""
         cells = self.annealing.cells
         row: dict[str, float] = {"apical_radius": float(self.annealing.tube.apical_radius), "cells": cells}
-        _, taken = play_whole(self.annealers["mh"], self.states["mh"], self.gauge, min(SAMPLED, cells))
+        _, taken = play_whole(self.annealers["mh"], self.states["mh"], self.measurer, min(SAMPLED, cells))
         row["whole_seconds"] = cells * float(np.median(taken))
         for name in self.annealers:
             records, row[f"{name}_seconds"] = self._advance(name)
@@ -122,7 +120,7 @@ def clock() -> float:
 
 
 def play_whole(
-    annealer: Annealer, state: AnnealState, gauge: Gauge, moves: int
+    annealer: Annealer, state: AnnealState, measurer: CellMeasurer, moves: int
 ) -> tuple[Float[np.ndarray, "n 2"], list[float]]:
     """The first moves of a sweep of MH that measures the whole tissue for each of them, as the paper's does.
 
@@ -132,23 +130,23 @@ def play_whole(
     """
     model, n, dtype = annealer.model, len(state.positions), state.positions.dtype
     draws = draw(annealer.seed, state.sweep, n, dtype)
-    proposed = propose(jnp.asarray(draws[:2]), posts(jnp.asarray(state.positions)), model)
+    proposed = propose(jnp.asarray(draws[:2]), backbone_coords(jnp.asarray(state.positions)), model)
     targets = np.stack([proposed.axial, proposed.angle], axis=-1)
-    place, energy = state.positions, _energy(state.positions, model, gauge)
+    place, energy = state.positions, _energy(state.positions, model, measurer)
     temperature, taken = max(annealer.temperatures[state.sweep], 1e-300), []
     for cell in one_by_one(annealer.seed, state.sweep, n)[:moves, 0]:
         begin = clock()
         moved = place.copy()
         moved[cell] = targets[cell]
-        changed = _energy(moved, model, gauge)
+        changed = _energy(moved, model, measurer)
         if draws[2, cell] < np.exp(-max(changed - energy, 0) / temperature):
             place, energy = moved, changed
         taken.append(clock() - begin)
     return place, taken
 
 
-def _energy(positions: Float[np.ndarray, "n 2"], model: Model, gauge: Gauge) -> float:
-    cells = gauge.measure(positions)
+def _energy(positions: Float[np.ndarray, "n 2"], model: Model, measurer: CellMeasurer) -> float:
+    cells = measurer.measure(positions)
     return float(np.sum(np.asarray(model.cell_energy(cells, model), float)))
 
 
@@ -176,7 +174,7 @@ def count_sets(positions: Float[np.ndarray, "n 2"], model: Model) -> dict[str, i
     pairs = find_contacts(place, tube).pairs
     ends = np.concatenate([pairs, pairs[:, ::-1]]).T
     contacts = sparse.coo_array((np.ones(ends.shape[1], np.int32), tuple(ends)), shape=(n, n)).tocsr()
-    surveyor = Surveyor(model, PRESETS["draft"], Asker())
+    surveyor = TissueSurvey(model, PRESETS["draft"], Asker())
     measured = run_together([surveyor.measure(place, lambda _: ())])[0]
     apical = np.asarray(tube.embed(jnp.asarray(place)).apical)
     reach = 8 * float(covering_radius(jnp.asarray(place), tube))

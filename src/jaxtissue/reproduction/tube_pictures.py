@@ -75,18 +75,14 @@ def plot_tube(tube: Tube, positions: Float[np.ndarray, "n 2"]) -> tuple[Figure, 
         rows = [label_section(place, tube, r, _middles(x), np.array([turn]))[0] for r in _middles(heights)]
         cut = np.stack(rows)
         add(cut, lambda row, column, t=turn: _polar(x[column], heights[row], t), 0.92)
-    rows = [
-        label_section(place, tube, r, np.array([length]), _middles(kept))[:, 0] for r in _middles(heights)
-    ]
+    rows = [label_section(place, tube, r, np.array([length]), _middles(kept))[:, 0] for r in _middles(heights)]
     end = np.stack(rows, axis=1)
     add(end, lambda row, column: _polar(length, heights[column], kept[row]), 0.92)
     paint = np.concatenate(colors)
     sheets = Poly3DCollection(np.concatenate(quads), fc=paint, ec=paint, linewidths=0.25, clip_on=False)
     axes.add_collection3d(sheets)
     _frame(axes, tube)
-    axes.set_title(
-        f"{len(place)} cells; the tube is cut open: basal surface outside, apical surface within", y=1.08
-    )
+    axes.set_title(f"{len(place)} cells; the tube is cut open: basal surface outside, apical surface within", y=1.08)
     return figure, axes
 
 

@@ -59,9 +59,7 @@ class Workers:
             reset_cache()
             self._compiled.cleanup()
 
-    def run(
-        self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]
-    ) -> Iterator[tuple[int, Any]]:
+    def run(self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
         """Number and result of each call, by its arguments, as they end.
 
         Function, arguments and results must be such as `pickle` takes, if there are more processes and calls

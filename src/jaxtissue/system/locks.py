@@ -87,9 +87,7 @@ def alone(folder: Path, name: str = NAME, what: str = "a run") -> Iterator[None]
         if not lock.take():
             holder = lock.holder()
             os.close(lock._file)
-            raise ValueError(
-                f"{what} is under way in {folder} ({holder}); wait for it or choose another folder"
-            )
+            raise ValueError(f"{what} is under way in {folder} ({holder}); wait for it or choose another folder")
         try:
             if lock.works and name == NAME:
                 remove_leftovers(folder)

@@ -22,12 +22,12 @@ from jaxtissue.neighbors.search import TILES, complete_lists, find_defect
 from jaxtissue.neighbors.shortlists import (
     CANDIDATES,
     STOPS,
-    both_views,
     from_both,
+    mutual_entries,
     nearest_sides,
-    see,
     shortlist_length,
     sight_lines,
+    survey_tissue,
 )
 from jaxtissue.tissue.refinement import (
     FEW_CELLS,
@@ -124,32 +124,32 @@ def doubts(cells: CellGeometry, tube: Tube, limits: tuple[float, float]) -> Iter
 
 
 class Kept(NamedTuple):
-    """What a `Gauge` keeps: few candidates of each cell, and all but the positions on every device."""
+    """What a `CellMeasurer` keeps: few candidates of each cell, and all but the positions on every device."""
 
     sides: Int[np.ndarray, "n 2 few"]
     placed: tuple[Tube, Lines, Array]
 
 
-class Gauge:
+class CellMeasurer:
     """Measures a tissue that moves, on short candidate lists, kept as long as they lack nobody.
 
     Every cell is compared with the 22 candidates a side (more of more than 500 cells) that could soonest stop
     it, and lengths are summed along lines as by `measure_tissue`. Where the sum shows that somebody is
-    lacking, lists are found anew, which `renewals` counts, and the cells are measured on these. Without
+    lacking, lists are found anew, which `num_rebuilds` counts, and the cells are measured on these. Without
     `check` there is no sum: then it is for the caller to know that the lists hold, as after small moves.
 
     >>> tube = Tube(length=40, apical_radius=2, basal_radius=6)
     >>> positions = tube.random_positions(jax.random.key(0), 100)
-    >>> gauge = Gauge(tube, "draft")
-    >>> first = gauge.measure(positions)
-    >>> turned = gauge.measure(positions + np.array([0, 0.01], np.float32))
-    >>> gauge.renewals, bool(abs(turned.volume - first.volume).max() < 1e-3)
+    >>> measurer = CellMeasurer(tube, "draft")
+    >>> first = measurer.measure(positions)
+    >>> turned = measurer.measure(positions + np.array([0, 0.01], np.float32))
+    >>> measurer.num_rebuilds, bool(abs(turned.volume - first.volume).max() < 1e-3)
     (1, True)
     """
 
     def __init__(self, tube: Tube, resolution: Resolution | str = "standard", surfaces: bool = False) -> None:
         self.tube, self.resolution, self.surfaces = tube, as_resolution(resolution), surfaces
-        self.renewals = 0
+        self.num_rebuilds = 0
         self._kept: Kept | None = None
 
     @usual_modes()
@@ -180,7 +180,7 @@ class Gauge:
         lines = plan_lines(tube, n, self.resolution, surfaces=self.surfaces)
         looked_at = lines, sight_lines(tube, n, self.resolution)
         _, clear = _seeing()(positions, tube, looked_at, sides)
-        views = both_views(sides)  # while the device looks
+        views = mutual_entries(sides)  # while the device looks
         clear = from_both(np.asarray(clear), views)
         # all who stop a cell, as the check's lines might not see some; in steps, so that shapes are few
         bounding = int((clear <= STOPS).sum(axis=2).max())
@@ -189,7 +189,7 @@ class Gauge:
         while count < sides.shape[2] and find_defect(positions, tube, few) >= TILES:  # some may need more
             count = min(2 * count, sides.shape[2])
             few = nearest_sides(sides, clear, count)
-        self.renewals += 1
+        self.num_rebuilds += 1
         everywhere = NamedSharding(mesh(tuple(jax.local_devices())), PartitionSpec())
         self._kept = Kept(few, jax.device_put((tube, lines, few), everywhere))
         return self._kept
@@ -205,4 +205,4 @@ def _measure(positions: Positions, rest: tuple[Tube, Lines, Array | np.ndarray])
 
 @functools.cache
 def _seeing() -> Callable[..., tuple[Any, Array]]:
-    return jax.jit(see, compiler_options=options(light=True))
+    return jax.jit(survey_tissue, compiler_options=options(light=True))

@@ -78,9 +78,7 @@ def measure_by_rules(
     first, narrow = measure_lines(tissue, resolution, surfaces, everyone)
     second, narrower = measure_lines(tissue, finer(resolution), surfaces, everyone)
     sizes, finely = _on_host(first), _on_host(second)
-    mean = np.array(
-        [float(tissue.tube.volume) / n, min(sizes["lateral_area"].mean(), finely["lateral_area"].mean())]
-    )
+    mean = np.array([float(tissue.tube.volume) / n, min(sizes["lateral_area"].mean(), finely["lateral_area"].mean())])
     allowed = np.array(limits)[:, None] * mean[:, None]
     before, after = (np.stack([t["volume"], t["lateral_area"]]).astype(float) for t in (sizes, finely))
     rounding = 30 * np.finfo(tissue.positions.dtype).eps * np.abs(after)
@@ -97,9 +95,7 @@ def measure_by_rules(
     return sizes, np.union1d(open_, near_twins(tissue.positions, tissue.tube))
 
 
-def near_twins(
-    positions: Float[np.ndarray, "n 2"], tube: Tube, coarse: float = COARSE
-) -> Int[np.ndarray, " cells"]:
+def near_twins(positions: Float[np.ndarray, "n 2"], tube: Tube, coarse: float = COARSE) -> Int[np.ndarray, " cells"]:
     """Cells of backbones too near to each other to be told apart well in the precision of their positions."""
     eps = np.finfo(positions.dtype).eps
     scale = np.array([float(tube.length), 2 * math.pi])

@@ -25,9 +25,7 @@ TURNS = 8  # most Newton steps
 SLACK = 0.6  # how much more than foreseen edges and walls turn against each other in the longest step
 
 
-def cross(
-    first: Float[np.ndarray, "3 ..."], second: Float[np.ndarray, "3 ..."]
-) -> Float[np.ndarray, "3 ..."]:
+def cross(first: Float[np.ndarray, "3 ..."], second: Float[np.ndarray, "3 ..."]) -> Float[np.ndarray, "3 ..."]:
     """Cross products along the first axis; `np.cross` takes several times as long."""
     (a, b, c), (u, v, w) = first, second
     return np.stack([b * w - c * v, c * u - a * w, a * v - b * u])
@@ -44,12 +42,10 @@ def ranges(first: Int[np.ndarray, " m"], size: Int[np.ndarray, " m"]) -> tuple[n
     return row, np.arange(len(row)) + np.repeat(first - np.cumsum(size) + size, size)
 
 
-class Leads:
+class Bisectors:
     """Leads of the labels of one tissue; points [m, 3], label rows [m, k], gradients [3, m, k - 1]."""
 
-    def __init__(
-        self, positions: ArrayLike, tube: Tube, care: float = 1.0, weights: ArrayLike | None = None
-    ) -> None:
+    def __init__(self, positions: ArrayLike, tube: Tube, care: float = 1.0, weights: ArrayLike | None = None) -> None:
         self.care = care  # by how much steps are shorter
         self.weight = None if weights is None else np.append(np.asarray(weights, float), np.zeros(BOUNDS))
         axial, angle = np.pad(np.asarray(positions, float).T, ((0, 0), (0, BOUNDS)))
@@ -120,9 +116,7 @@ class Leads:
         turn = (two * cross(first, along) - one * cross(second, along)) / size
         return along.T.copy(), turn.T.copy()
 
-    def tangent(
-        self, point: Float[np.ndarray, "m 3"], labels: Int[np.ndarray, "m 3"]
-    ) -> Float[np.ndarray, "m 3"]:
+    def tangent(self, point: Float[np.ndarray, "m 3"], labels: Int[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3"]:
         """Unit tangents of edges, as in `curve`."""
         along = cross(*np.moveaxis(self.over_first(point, labels)[1], -1, 0))
         return (along / np.maximum(np.sqrt(dot(along, along)), TINY)).T.copy()
@@ -149,11 +143,9 @@ class Leads:
         dual = [cross(rows[i - 2], rows[i - 1]) for i in range(3)]
         volume = dot(rows[0], dual[0])
         parallel = volume**2 <= 1e-24 * (scale if lead.shape[1] == 3 else scale**2)  # such walls don't meet
-        return sum(side * row for side, row in zip(lead.T, dual, strict=False)) / np.where(
-            parallel, np.nan, volume
-        )
+        return sum(side * row for side, row in zip(lead.T, dual, strict=False)) / np.where(parallel, np.nan, volume)
 
-    def foremost(
+    def nearest_competitor(
         self, point: Float[np.ndarray, "m 3"], labels: Int[np.ndarray, "m k"]
     ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
         """The label, beside the given ones, that leads most, and the distance gone beyond its wall."""
@@ -168,7 +160,7 @@ class Leads:
         turn: Float[np.ndarray, "m 3"],
         reach: Float[np.ndarray, " m"],
     ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """What `foremost` gives, and how far, `reach` at most, one may go ahead along a curve of given
+        """What `nearest_competitor` gives, and how far, `reach` at most, one may go ahead along a curve of given
         tangent and its derivative before an unseen wall could be crossed and crossed back.
 
         Distances change no faster than places, so whoever leads within reach is now at most as far as the
@@ -182,7 +174,7 @@ class Leads:
         slope, bend = slope[..., 0], self.bend(point[row], pair, ahead[row])[:, 0]
         norm = np.sqrt(dot(slope, slope)) + TINY
         beyond, rate = lead[:, 0] / norm, dot(slope, ahead.T[:, row]) / norm
-        safe = until(beyond, rate, (bend + dot(slope, turn.T[:, row])) / norm, reach[row])
+        safe = safe_step_length(beyond, rate, (bend + dot(slope, turn.T[:, row])) / norm, reach[row])
         known = (labels[row] == rival[:, None]).any(axis=1)
         beyond[known], safe[known] = -np.inf, np.inf
         start = np.searchsorted(row, np.arange(len(point)))  # each has its own backbone among the near
@@ -195,7 +187,7 @@ class Leads:
             lead, slope = self.over_bound(bound, point)
             norm = np.sqrt(dot(slope, slope)) + TINY
             beyond, rate = lead / norm, dot(slope, ahead.T) / norm
-            ends = until(beyond, rate, (bend + dot(slope, turn.T)) / norm, reach)
+            ends = safe_step_length(beyond, rate, (bend + dot(slope, turn.T)) / norm, reach)
             other = ~(labels == self.count + bound).any(axis=1)
             first = other & (beyond > most)
             label[first], most[first] = self.count + bound, beyond[first]
@@ -236,7 +228,7 @@ class Leads:
         return np.concatenate(rows), np.concatenate(rivals)
 
 
-def until(beyond: np.ndarray, rate: np.ndarray, bend: np.ndarray, reach: np.ndarray) -> np.ndarray:
+def safe_step_length(beyond: np.ndarray, rate: np.ndarray, bend: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """How far one may go before a wall could be crossed and crossed back: beyond + rate s + bend s^2 / 2 is
     taken to rise by up to SLACK / reach s^2 / 2 more; 1.5 times it, so that one step passes a wall."""
     beyond = np.minimum(beyond, 0)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtissue.system.cores import cut, in_threads
-from jaxtissue.topology.bisectors import TIE, TINY, TOUCH, Leads
+from jaxtissue.topology.bisectors import TIE, TINY, TOUCH, Bisectors
 
 STEP = 0.6  # longest step, in mean cell widths at the local radius
 NEAR = 0.5  # most that a step goes across the axis, in distances from it: edges bend near the lumen
@@ -19,7 +19,7 @@ BENDS = 6  # steps to where a foot leaves its backbone's end
 MET = 1e-5  # of a segment: the last of them at most, or it is not parted there
 ENOUGH = 1e-7  # of a step: Newton's next step is its square
 CROWD = 512  # fronts worth a thread
-GOING, HOME, LOST = -1, -2, -3  # nobody met yet; back where the front began; the step was too long
+RUNNING, CLOSED, FAILED = -1, -2, -3  # nobody met yet; back where the front began; the step was too long
 
 
 class Fronts(NamedTuple):
@@ -54,13 +54,13 @@ def begin(
     sign: Float[np.ndarray, " m"],
     end: Int[np.ndarray, " m"],
     number: int,
-    leads: Leads,
+    bisectors: Bisectors,
 ) -> Fronts:
     """Fronts that start at points, numbered from `number` on."""
-    ahead, turn = leads.curve(point, labels)
-    ahead, longest = sign[:, None] * ahead, widest(point, ahead, turn, leads)
+    ahead, turn = bisectors.curve(point, labels)
+    ahead, longest = sign[:, None] * ahead, widest(point, ahead, turn, bisectors)
     looks = in_threads(
-        lambda some: leads.look(point[some], labels[some], ahead[some], turn[some], longest[some])[2],
+        lambda some: bisectors.look(point[some], labels[some], ahead[some], turn[some], longest[some])[2],
         cut(len(point), CROWD),
     )
     safe = np.concatenate(looks)
@@ -72,32 +72,29 @@ def widest(
     point: Float[np.ndarray, "m 3"],
     ahead: Float[np.ndarray, "m 3"],
     turn: Float[np.ndarray, "m 3"],
-    leads: Leads,
+    bisectors: Bisectors,
 ) -> np.ndarray:
     """The longest step allowed at points of edges of given tangents and curvature."""
     radius, across = np.hypot(point[:, 1], point[:, 2]), np.hypot(ahead[:, 1], ahead[:, 2])
-    width = np.sqrt(2 * np.pi * leads.length / leads.count * radius)
+    width = np.sqrt(2 * np.pi * bisectors.length / bisectors.count * radius)
     bend = np.maximum(np.sqrt((turn**2).sum(axis=1)), TINY)
     near = 2 * NEAR * radius  # across s + bend s^2 / 2 = near / 2
     near /= across + np.sqrt(across**2 + bend * near)
-    return np.minimum(np.minimum(STEP * width, near), TURN / bend) / leads.care
+    return np.minimum(np.minimum(STEP * width, near), TURN / bend) / bisectors.care
 
 
-def step(fronts: Fronts, leads: Leads) -> tuple[Fronts, Int[np.ndarray, " m"]]:
+def step(fronts: Fronts, bisectors: Bisectors) -> tuple[Fronts, Int[np.ndarray, " m"]]:
     """One step of every front, and who is met: a label, GOING, HOME, or LOST: to be tried shorter."""
     old, longest = fronts.point, fronts.longest
     size = np.minimum(longest, np.maximum(fronts.safe, longest / 20))
-    parts = in_threads(lambda some: advance(fronts.of(some), size[some], leads), cut(len(old), CROWD))
+    parts = in_threads(lambda some: advance(fronts.of(some), size[some], bisectors), cut(len(old), CROWD))
     moved, met = Fronts.of_all([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
-    good = met != LOST
+    good = met != FAILED
     home = (fronts.end < 0) & (fronts.gone > 3 * size) & good
     home &= passes(fronts.start, old, moved.point, size / 5)
-    moved.point[home], met[home] = fronts.start[home], HOME
+    moved.point[home], met[home] = fronts.start[home], CLOSED
     moved = Fronts(
-        *(
-            np.where(good if new.ndim == 1 else good[:, None], new, was)
-            for new, was in zip(moved, fronts, strict=True)
-        )
+        *(np.where(good if new.ndim == 1 else good[:, None], new, was) for new, was in zip(moved, fronts, strict=True))
     )
     moved.longest[~good] = size[~good] / 4
     return moved, met
@@ -110,40 +107,40 @@ def passes(target: np.ndarray, start: np.ndarray, stop: np.ndarray, within: np.n
     return (share > 0) & (share <= 1) & (np.linalg.norm(off - share[:, None] * way, axis=1) < within)
 
 
-def advance(fronts: Fronts, size: np.ndarray, leads: Leads) -> tuple[Fronts, np.ndarray]:
+def advance(fronts: Fronts, size: np.ndarray, bisectors: Bisectors) -> tuple[Fronts, np.ndarray]:
     """The fronts a step on, and who is met.
 
     Whoever leads at the new point ends the edge before it, at the vertex with them.
     """
-    near, tie, start, labels = TOUCH * leads.size, TIE * leads.size, fronts.point, fronts.labels
+    near, tie, start, labels = TOUCH * bisectors.size, TIE * bisectors.size, fronts.point, fronts.labels
     far = size[:, None]
     guess = start + far * fronts.ahead + far**2 / 2 * fronts.turn
-    point, found = leads.solve(guess, labels, np.maximum(ENOUGH * size, near))
-    met = np.where(found, GOING, LOST)
+    point, found = bisectors.solve(guess, labels, np.maximum(ENOUGH * size, near))
+    met = np.where(found, RUNNING, FAILED)
     point[~found] = start[~found]
-    ahead, turn = leads.curve(point, labels)
+    ahead, turn = bisectors.curve(point, labels)
     ahead *= fronts.sign[:, None]
-    reach = widest(point, ahead, turn, leads)
-    rival, beyond, safe = leads.look(point, labels, ahead, turn, reach)
-    open_ = np.flatnonzero((met == GOING) & (beyond > tie))
+    reach = widest(point, ahead, turn, bisectors)
+    rival, beyond, safe = bisectors.look(point, labels, ahead, turn, reach)
+    open_ = np.flatnonzero((met == RUNNING) & (beyond > tie))
     for _ in range(8):  # each vertex lies before the last, until nobody leads there
         met[open_] = rival[open_]
         four = np.append(labels[open_], met[open_, None], axis=1)
-        point[open_], found = leads.solve(point[open_], four, np.full(len(open_), near))
-        met[open_[~found]], open_, four = LOST, open_[found], four[found]
-        rival[open_], beyond[open_] = leads.foremost(point[open_], four)
+        point[open_], found = bisectors.solve(point[open_], four, np.full(len(open_), near))
+        met[open_[~found]], open_, four = FAILED, open_[found], four[found]
+        rival[open_], beyond[open_] = bisectors.nearest_competitor(point[open_], four)
         open_ = open_[beyond[open_] > tie]
         if not len(open_):
             break
-    met[open_] = LOST
-    point = np.where(met[:, None] == LOST, start, point)
+    met[open_] = FAILED
+    point = np.where(met[:, None] == FAILED, start, point)
     ends = np.flatnonzero(met >= 0)
-    ahead[ends] = fronts.sign[ends, None] * leads.tangent(point[ends], labels[ends])
-    _, slope = leads.over_first(point[ends], np.stack([labels[ends, 0], met[ends]], axis=1))
+    ahead[ends] = fronts.sign[ends, None] * bisectors.tangent(point[ends], labels[ends])
+    _, slope = bisectors.over_first(point[ends], np.stack([labels[ends, 0], met[ends]], axis=1))
     leaving = (slope[..., 0].T * ahead[ends]).sum(axis=1) <= 0  # a vertex that begins the edge, not ends it
     moved = ((point - start) * fronts.ahead).sum(axis=1)
     bad = (moved < -near) | (moved > 2 * size) | ((ahead * fronts.ahead).sum(axis=1) < BENT)
-    met[bad], met[ends[leaving]] = LOST, LOST
+    met[bad], met[ends[leaving]] = FAILED, FAILED
     moved = fronts._replace(
         point=point, ahead=ahead, turn=turn, longest=np.minimum(4 * fronts.longest, reach), safe=safe
     )
@@ -167,44 +164,44 @@ class Segments(NamedTuple):
         return Segments(points, tangents, np.append(self.segment, self.segment[chosen]))
 
 
-def refine_all(points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"], leads: Leads) -> Segments:
+def refine_all(points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"], bisectors: Bisectors) -> Segments:
     """As `refine`, in threads."""
     slices = cut(len(points), CROWD)
-    parts = in_threads(lambda some: refine(points[some], labels[some], leads), slices)
+    parts = in_threads(lambda some: refine(points[some], labels[some], bisectors), slices)
     numbered = [part.segment + some.start for part, some in zip(parts, slices, strict=True)]
     ends, ways = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
     return Segments(ends, ways, np.concatenate(numbered))
 
 
-def refine(points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"], leads: Leads) -> Segments:
+def refine(points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"], bisectors: Bisectors) -> Segments:
     """Segments of edges parted where a foot leaves its backbone's apical end, since edges bend there, and
     halved until they hardly turn and follow the cubic through their ends."""
-    tangents = leads.tangent(points.reshape(-1, 3), np.repeat(labels, 2, axis=0)).reshape(-1, 2, 3)
+    tangents = bisectors.tangent(points.reshape(-1, 3), np.repeat(labels, 2, axis=0)).reshape(-1, 2, 3)
     parts = Segments(points, tangents, np.arange(len(points)))
     for place in range(3):
-        parts = _part_at_bends(parts, labels[parts.segment], place, leads)
+        parts = _part_at_bends(parts, labels[parts.segment], place, bisectors)
     new = np.arange(len(parts.points))
     for _ in range(6):
         ends, ways = parts.points[new], parts.tangents[new]
         turn, chord = ways[:, 0] - ways[:, 1], np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         guess = ends.mean(axis=1) + chord[:, None] / 8 * turn
-        middle, found = leads.solve(guess, labels[parts.segment[new]], ENOUGH * chord)
+        middle, found = bisectors.solve(guess, labels[parts.segment[new]], ENOUGH * chord)
         stray = np.linalg.norm(middle - guess, axis=1) > STRAY * chord
         split = found & (stray | ((turn**2).sum(axis=1) > FINE**2))
         bent, middle = new[split], middle[split]
         count = len(parts.points)
-        parts = parts.split(bent, middle, leads.tangent(middle, labels[parts.segment[bent]]))
+        parts = parts.split(bent, middle, bisectors.tangent(middle, labels[parts.segment[bent]]))
         new = np.append(bent, np.arange(count, len(parts.points)))
     order = np.argsort(parts.segment, kind="stable")
     return Segments(*(column[order] for column in parts))
 
 
-def _part_at_bends(parts: Segments, labels: Int[np.ndarray, "s 3"], place: int, leads: Leads) -> Segments:
+def _part_at_bends(parts: Segments, labels: Int[np.ndarray, "s 3"], place: int, bisectors: Bisectors) -> Segments:
     """Segments parted where the foot on the backbone of one of their labels leaves its apical end."""
     own = labels[:, place]
-    way = np.stack([leads.cosine[own], leads.sine[own]], axis=1)
-    above = (parts.points[..., 1:] * way[:, None]).sum(axis=-1) - leads.inner
-    bent = np.flatnonzero((own < leads.count) & (above.prod(axis=1) < 0))
+    way = np.stack([bisectors.cosine[own], bisectors.sine[own]], axis=1)
+    above = (parts.points[..., 1:] * way[:, None]).sum(axis=-1) - bisectors.inner
+    bent = np.flatnonzero((own < bisectors.count) & (above.prod(axis=1) < 0))
     ends, three, way, above = parts.points[bent], labels[bent], way[bent], above[bent]
     share = (above[:, 0] / (above[:, 0] - above[:, 1]))[:, None]
     middle = (1 - share) * ends[:, 0] + share * ends[:, 1]
@@ -212,10 +209,10 @@ def _part_at_bends(parts: Segments, labels: Int[np.ndarray, "s 3"], place: int, 
     width, good = np.linalg.norm(chord, axis=1), np.ones(len(bent), bool)
     along, shift = np.zeros_like(middle), np.zeros(len(bent))
     for _ in range(BENDS):
-        middle, found = leads.solve(middle, three, ENOUGH * width)
-        along = leads.tangent(middle, three)
+        middle, found = bisectors.solve(middle, three, ENOUGH * width)
+        along = bisectors.tangent(middle, three)
         rate = (along[:, 1:] * way).sum(axis=1)
-        miss = (middle[:, 1:] * way).sum(axis=1) - leads.inner
+        miss = (middle[:, 1:] * way).sum(axis=1) - bisectors.inner
         good &= found & (np.abs(rate) > TINY)
         shift = miss / np.where(good, rate, np.inf)
         middle = middle - shift[:, None] * along

@@ -13,8 +13,8 @@ from scipy.spatial import KDTree
 
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.topology.bisectors import BOUNDS, TIE, TINY, TOUCH, Leads, ranges
-from jaxtissue.topology.continuation import GOING, HOME, LOST, Fronts, begin, passes, refine_all, step
+from jaxtissue.topology.bisectors import BOUNDS, TIE, TINY, TOUCH, Bisectors, ranges
+from jaxtissue.topology.continuation import CLOSED, FAILED, RUNNING, Fronts, begin, passes, refine_all, step
 from jaxtissue.topology.seeds import Seeds, seed, seed_lenses
 
 TRIES = 8  # tracings at most
@@ -55,10 +55,10 @@ def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
     section 4.1.
     """
     place = as_positions(positions, tube, np.float64)
-    plain = Leads(place, tube)
+    plain = Bisectors(place, tube)
     random, weights, care, best = np.random.default_rng(0), np.zeros(len(place)), 1.0, None
     for _ in range(TRIES):
-        graph, tied, lost = _trace(Leads(place, tube, care, weights if weights.any() else None))
+        graph, tied, lost = _trace(Bisectors(place, tube, care, weights if weights.any() else None))
         rank = graph.open_ends, int(tied.sum())
         if best is None or rank < best[0]:
             best = rank, graph, weights.copy()
@@ -74,35 +74,33 @@ def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
     (_, untold), graph, weights = best
     graph = graph._replace(open_ends=graph.open_ends + untold)
     if graph.open_ends:
-        message = (
-            f"{graph.open_ends} edges of the diagram could not be followed: contacts and transitions may be"
-        )
+        message = f"{graph.open_ends} edges of the diagram could not be followed: contacts and transitions may be"
         warnings.warn(f"{message} missing; move backbones that nearly coincide apart", stacklevel=2)
     return _settle(graph, plain, weights) if weights.any() else graph
 
 
-def _gaps(leads: Leads, radius: float) -> Float[np.ndarray, " n"]:
+def _gaps(bisectors: Bisectors, radius: float) -> Float[np.ndarray, " n"]:
     """How far from each backbone the next is at a radius."""
-    ends = np.stack([leads.axial, radius * leads.cosine, radius * leads.sine], axis=1)[: leads.count]
+    ends = np.stack([bisectors.axial, radius * bisectors.cosine, radius * bisectors.sine], axis=1)[: bisectors.count]
     return KDTree(ends).query(ends, k=2)[0][:, 1]
 
 
-def _settle(graph: EdgeGraph, leads: Leads, weights: Float[np.ndarray, " n"]) -> EdgeGraph:
+def _settle(graph: EdgeGraph, bisectors: Bisectors, weights: Float[np.ndarray, " n"]) -> EdgeGraph:
     """The graph traced with weights: its vertices where they are without, if four walls meet in a point."""
-    blur = float((weights / np.maximum(_gaps(leads, leads.inner), TINY)).max()) / 2
-    small = np.full(len(graph.vertices), TOUCH * leads.size)
-    point, found = leads.solve(graph.vertices, graph.vertex_labels, small)
+    blur = float((weights / np.maximum(_gaps(bisectors, bisectors.inner), TINY)).max()) / 2
+    small = np.full(len(graph.vertices), TOUCH * bisectors.size)
+    point, found = bisectors.solve(graph.vertices, graph.vertex_labels, small)
     found &= np.abs(point - graph.vertices).max(axis=1, initial=0) < WIDE * blur
     return graph._replace(vertices=np.where(found[:, None], point, graph.vertices), blur=blur)
 
 
-def _trace(leads: Leads) -> tuple[EdgeGraph, Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+def _trace(bisectors: Bisectors) -> tuple[EdgeGraph, Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """The graph, the cells at vertices where a fifth label ties, and those whose edges were lost."""
-    graph, seeds = _Growing(leads), seed(leads)
+    graph, seeds = _Growing(bisectors), seed(bisectors)
     apart = min(FIRST, 1 + len(seeds.point) // TOGETHER)
     graph.grow(Seeds(*(column[::apart] for column in seeds)))
     graph.grow(Seeds(*(column[~graph.covers(seeds)] for column in seeds)))
-    lenses = seed_lenses(*graph.walls(), leads)
+    lenses = seed_lenses(*graph.walls(), bisectors)
     if len(lenses.point):
         graph.grow(Seeds(*(column[~graph.covers(lenses)] for column in lenses)))
     return graph.finish()
@@ -111,59 +109,51 @@ def _trace(leads: Leads) -> tuple[EdgeGraph, Bool[np.ndarray, " n"], Bool[np.nda
 class _Growing:
     """The graph while it is traced."""
 
-    def __init__(self, leads: Leads) -> None:
-        self.leads = leads
+    def __init__(self, bisectors: Bisectors) -> None:
+        self.bisectors = bisectors
         self.points: list[list[float]] = []
         self.labels: list[tuple[int, ...]] = []
         self.known: dict[tuple[int, ...], list[int]] = {}
-        self.closed: dict[
-            int, int
-        ] = {}  # the other end of the edge at each end; the front of a loop at -1 - it
+        self.closed: dict[int, int] = {}  # the other end of the edge at each end; the front of a loop at -1 - it
         self.begun: list[Fronts] = []
         self.count = 0
         self.edges: list[tuple[int, int, int]] = []  # front, its end, the end it came to
-        self.walked: list[
-            tuple[np.ndarray, np.ndarray]
-        ] = []  # fronts, and the points between which they went
+        self.walked: list[tuple[np.ndarray, np.ndarray]] = []  # fronts, and the points between which they went
 
     def grow(self, seeds: Seeds) -> None:
         """Follow the edges at seeds, and all that are joined to them."""
         sign, end = np.ones(len(seeds.point)), np.full(len(seeds.point), -1)
         fronts = self._begin(seeds.point, seeds.labels, sign, end)
         while len(fronts.point):
-            moved, met = step(fronts, self.leads)
-            good = met != LOST
+            moved, met = step(fronts, self.bisectors)
+            good = met != FAILED
             self.walked.append((moved.number[good], np.stack([fronts.point, moved.point], axis=1)[good]))
             first = len(self.points)
             self._enter(moved, met)
             open_ = np.array([end not in self.closed for end in moved.end.tolist()], bool)
-            going = open_ & ((met == GOING) | (met == LOST)) & (moved.longest > TOUCH * self.leads.size)
+            going = open_ & ((met == RUNNING) | (met == FAILED)) & (moved.longest > TOUCH * self.bisectors.size)
             fronts = Fronts.of_all([moved.of(going), self._leave(first)])
 
     def _begin(self, point: np.ndarray, labels: np.ndarray, sign: np.ndarray, end: np.ndarray) -> Fronts:
-        fronts = begin(point, labels, sign, end, self.count, self.leads)
+        fronts = begin(point, labels, sign, end, self.count, self.bisectors)
         self.count += len(point)
         self.begun.append(fronts)
         return fronts
 
     def _enter(self, fronts: Fronts, met: np.ndarray) -> None:
         """Enter the edges whose vertex has been reached."""
-        home = fronts.of(met == HOME)
+        home = fronts.of(met == CLOSED)
         self.edges += [(number, -1, -1) for number in home.number.tolist()]
         there = met >= 0
         ends = fronts.of(there)
         four = np.sort(np.append(ends.labels, met[there, None], axis=1), axis=1)
         place = (four < met[there, None]).sum(axis=1)
-        rows = zip(
-            *(column.tolist() for column in (ends.number, ends.end, four, place, ends.point)), strict=True
-        )
+        rows = zip(*(column.tolist() for column in (ends.number, ends.end, four, place, ends.point)), strict=True)
         for number, left, labels, omitted, point in rows:
             end = 4 * self._vertex(point, tuple(labels)) + omitted
             if left < 0 or left in self.closed:
                 continue
-            if (
-                end in self.closed
-            ):  # one of the two went astray: whose other end stays open, or is met rightly
+            if end in self.closed:  # one of the two went astray: whose other end stays open, or is met rightly
                 continue
             self.closed[left], self.closed[end] = end, left
             self.edges.append((number, left, end))
@@ -172,10 +162,7 @@ class _Growing:
         """The number of a vertex, new or known."""
         same = self.known.setdefault(labels, [])
         for number in same:
-            if (
-                max(abs(a - b) for a, b in zip(self.points[number], point, strict=True))
-                < 1e-8 * self.leads.size
-            ):
+            if max(abs(a - b) for a, b in zip(self.points[number], point, strict=True)) < 1e-8 * self.bisectors.size:
                 return number
         same.append(len(self.points))
         self.points.append(point)
@@ -192,8 +179,8 @@ class _Growing:
         new = np.array([number not in self.closed for number in end.tolist()], bool)
         go = np.flatnonzero(new)
         triple, other, point = triple[go], other[go], point[go // 4]
-        _, slope = self.leads.over_first(point, np.stack([triple[:, 0], other], axis=1))
-        sign = -np.sign((self.leads.tangent(point, triple) * slope[..., 0].T).sum(axis=1))
+        _, slope = self.bisectors.over_first(point, np.stack([triple[:, 0], other], axis=1))
+        sign = -np.sign((self.bisectors.tangent(point, triple) * slope[..., 0].T).sum(axis=1))
         return self._begin(point, triple, sign, end[go])
 
     def _segments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -206,7 +193,7 @@ class _Growing:
     def covers(self, seeds: Seeds) -> Bool[np.ndarray, " m"]:
         """Whether an edge has been followed past each seed."""
         labels, front, points = self._segments()
-        base = self.leads.count + 4
+        base = self.bisectors.count + 4
         key, wanted = (rows @ [base**2, base, 1] for rows in (labels[front], seeds.labels))
         order = np.argsort(key)
         first, last = (np.searchsorted(key[order], wanted, side=side) for side in ("left", "right"))
@@ -219,20 +206,23 @@ class _Growing:
         """The pairs of cells with a wall, and a ball for each that holds whoever comes as near to its rim."""
         labels, front, points = self._segments()
         place, three = points.mean(axis=1), labels[front]
-        foot, out = self.leads.feet(place, three[:, 0]), np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
+        foot, out = (
+            self.bisectors.feet(place, three[:, 0]),
+            np.linalg.norm(points[:, 1] - points[:, 0], axis=1),
+        )
         out += np.linalg.norm(place - foot, axis=1)
         sides = np.concatenate([three[:, [0, 1]], three[:, [1, 2]], three[:, [0, 2]]])
-        wall = np.flatnonzero(sides[:, 1] < self.leads.count)
-        keys, which = np.unique(sides[wall] @ [self.leads.count, 1], return_inverse=True)
+        wall = np.flatnonzero(sides[:, 1] < self.bisectors.count)
+        keys, which = np.unique(sides[wall] @ [self.bisectors.count, 1], return_inverse=True)
         row, size = wall % len(three), np.bincount(which)
         center = np.stack([np.bincount(which, x[row]) / size for x in place.T], axis=1)
         reach = np.zeros(len(keys))
         np.maximum.at(reach, which, np.linalg.norm(place[row] - center[which], axis=1) + out[row])
-        return np.stack(np.divmod(keys, self.leads.count), axis=1), center, reach
+        return np.stack(np.divmod(keys, self.bisectors.count), axis=1), center, reach
 
     def finish(self) -> tuple[EdgeGraph, Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
         """The graph traced, and the cells at ties and at open ends."""
-        leads, n = self.leads, self.leads.count
+        bisectors, n = self.bisectors, self.bisectors.count
         labels, front, points = self._segments()
         begun = np.array(self.edges, int).reshape(-1, 3)
         sign = np.concatenate([fronts.sign for fronts in self.begun])
@@ -246,11 +236,11 @@ class _Growing:
         order = np.argsort(edge, kind="stable")
         edge, points, along = edge[order], points[order], sign[front[order]]
         points = np.where((along > 0)[:, None, None], points, points[:, ::-1])
-        points, tangents, segment = refine_all(points, labels[begun[edge, 0]], leads)
+        points, tangents, segment = refine_all(points, labels[begun[edge, 0]], bisectors)
         four, vertices = np.array(self.labels, int).reshape(-1, 4), np.array(self.points).reshape(-1, 3)
-        rival, beyond = leads.foremost(vertices, four)
+        rival, beyond = bisectors.nearest_competitor(vertices, four)
         tied, lost = np.zeros(n + BOUNDS, bool), np.zeros(n + BOUNDS, bool)
-        ties = beyond > -NEAR_TIES * TIE * leads.size
+        ties = beyond > -NEAR_TIES * TIE * bisectors.size
         tied[four[ties]] = tied[rival[ties]] = True
         ended = np.bincount(np.array(list(self.closed), int) // 4, minlength=len(four))
         lost[four[ended < 4]] = True

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtissue.system.cores import in_threads
-from jaxtissue.topology.bisectors import BOUNDS, TINY, Leads
+from jaxtissue.topology.bisectors import BOUNDS, TINY, Bisectors
 from jaxtissue.topology.edges import EdgeGraph
 
 SIDES = (
@@ -53,25 +53,25 @@ class Rims(NamedTuple):
     volume: Float[np.ndarray, " n"]
 
 
-def measure_rims(graph: EdgeGraph, leads: Leads) -> Rims:
+def measure_rims(graph: EdgeGraph, bisectors: Bisectors) -> Rims:
     """Lengths, areas and volumes by Gauss-Lobatto on every segment, at nodes brought onto the edges."""
-    count, cells = len(graph.edge_labels), leads.count + BOUNDS
+    count, cells = len(graph.edge_labels), bisectors.count + BOUNDS
     length, area, turn = np.zeros(count), np.zeros((3, count)), np.zeros((3, count))
     volume = np.zeros(cells)
 
     def swept(some: slice) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
         """Lengths and angles of segments, and for each of SIDES the rows that it bears on and their sums."""
         labels = graph.edge_labels[graph.segment_edge[some]]
-        point = nodes_on(graph.points[some], graph.tangents[some], labels, leads)
+        point = nodes_on(graph.points[some], graph.tangents[some], labels, bisectors)
         speed = np.linalg.norm(np.einsum("ij,mjk->mik", SLOPES, point), axis=2) @ WEIGHTS
         angle = np.arctan2(point[..., 2], point[..., 1])
         angle[:, 1:] = np.mod(angle[:, 1:] - angle[:, :1] + np.pi, 2 * np.pi) - np.pi
         start_angle, angle[:, 0] = angle[:, 0].copy(), 0
         sides = []
         for one, two, sign in SIDES:
-            kept = np.flatnonzero(labels[:, one] < leads.count)
+            kept = np.flatnonzero(labels[:, one] < bisectors.count)
             pair = labels[kept][:, [one, two]]
-            sides.append((kept, sign * _swept(point[kept], start_angle[kept], angle[kept], pair, leads)))
+            sides.append((kept, sign * _swept(point[kept], start_angle[kept], angle[kept], pair, bisectors)))
         return speed, angle[:, -1], sides
 
     blocks = [slice(start, start + BLOCK) for start in range(0, len(graph.points), BLOCK)]
@@ -84,28 +84,26 @@ def measure_rims(graph: EdgeGraph, leads: Leads) -> Rims:
             turn[side] += np.bincount(edge, sign * spun, count)
             pair = graph.edge_labels[edge[kept]][:, [one, two]]
             volume += np.bincount(pair.T.ravel(), sums[1:].ravel(), cells)
-    return Rims(length, area, turn, volume[: leads.count])
+    return Rims(length, area, turn, volume[: bisectors.count])
 
 
 def nodes_on(
     points: Float[np.ndarray, "m 2 3"],
     tangents: Float[np.ndarray, "m 2 3"],
     labels: Int[np.ndarray, "m 3"],
-    leads: Leads,
+    bisectors: Bisectors,
 ) -> Float[np.ndarray, "m 5 3"]:
     """The nodes of segments, on their edges."""
     chord = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
     ways = tangents * chord[:, None, None]
     node = np.stack([along(points, ways, share)[0] for share in NODES], axis=1)
     inner = node[:, 1:-1].reshape(-1, 3)
-    on, found = leads.solve(inner, np.repeat(labels, 3, axis=0), np.repeat(CLOSE * chord, 3))
+    on, found = bisectors.solve(inner, np.repeat(labels, 3, axis=0), np.repeat(CLOSE * chord, 3))
     node[:, 1:-1] = np.where(found[:, None], on, inner).reshape(-1, 3, 3)
     return node
 
 
-def along(
-    points: np.ndarray, tangents: np.ndarray, share: float | np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def along(points: np.ndarray, tangents: np.ndarray, share: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Point and derivative, at a share of the way, of the cubic with the given ends and end tangents."""
     s = share
     blend = (1 - s) ** 2 * (1 + 2 * s), s**2 * (3 - 2 * s), s * (1 - s) ** 2, -(s**2) * (1 - s)
@@ -120,36 +118,36 @@ def _swept(
     start: Float[np.ndarray, " m"],
     turn: Float[np.ndarray, "m 5"],
     pair: Int[np.ndarray, "m 2"],
-    leads: Leads,
+    bisectors: Bisectors,
 ) -> Float[np.ndarray, "3 m"]:
     """What segments with the face of a pair on their left, seen against the normal to the second label, add
     to its area, and to the volumes of the two cells."""
-    n, swept = leads.count, np.zeros((3, len(point)))
+    n, swept = bisectors.count, np.zeros((3, len(point)))
     bound, radius = pair[:, 1] - n, np.hypot(point[..., 1], point[..., 2])
     spin, rise = (np.einsum("ij,mj->mi", SLOPES, value) for value in (turn, radius))
-    gap = leads.axial[pair[:, 1]] - leads.axial[pair[:, 0]]
-    own, other = (np.stack([leads.cosine[k], leads.sine[k]]) for k in pair.T)
-    level = np.abs(gap) < LEVEL * leads.inner * np.linalg.norm(own - other, axis=0)
+    gap = bisectors.axial[pair[:, 1]] - bisectors.axial[pair[:, 0]]
+    own, other = (np.stack([bisectors.cosine[k], bisectors.sine[k]]) for k in pair.T)
+    level = np.abs(gap) < LEVEL * bisectors.inner * np.linalg.norm(own - other, axis=0)
     walls = np.flatnonzero((bound < 0) & ~level)
-    at = radius[walls], start[walls, None] + turn[walls], pair[walls], leads
+    at = radius[walls], start[walls, None] + turn[walls], pair[walls], bisectors
     height = np.stack([np.sign(gap[walls, None]) * primitive(*at), *flow(*at)])
     swept[:, walls] = (height * spin[walls]) @ WEIGHTS
     planes = np.flatnonzero((bound < 0) & level)
     flat = point[planes].reshape(-1, 3)
-    foot, next_foot = (leads.feet(flat, np.repeat(k, 5)) for k in pair[planes].T)
+    foot, next_foot = (bisectors.feet(flat, np.repeat(k, 5)) for k in pair[planes].T)
     way = next_foot - foot
     around = (flat[:, 1] * way[:, 2] - flat[:, 2] * way[:, 1]).reshape(-1, 5)
     lean = gap[planes, None] / np.linalg.norm(way, axis=1).reshape(-1, 5)  # normal along x
     place = point[planes, :, 0]
-    near, far = (lean / 2 * (place - leads.axial[k, None]) ** 2 for k in pair[planes].T)
+    near, far = (lean / 2 * (place - bisectors.axial[k, None]) ** 2 for k in pair[planes].T)
     swept[:, planes] = (np.stack([place, near, -far]) * np.sign(around) * rise[planes]) @ WEIGHTS
-    for surface, size in ((0, leads.inner), (1, -leads.outer)):
+    for surface, size in ((0, bisectors.inner), (1, -bisectors.outer)):
         here = np.flatnonzero(bound == surface)
         swept[0, here] = size * ((point[here, :, 0] * spin[here]) @ WEIGHTS)
-    for end, outward in ((0.0, -0.5), (leads.length, 0.5)):
+    for end, outward in ((0.0, -0.5), (bisectors.length, 0.5)):
         here = np.flatnonzero(bound == (2 if outward < 0 else 3))
         swept[0, here] = outward * ((radius[here] ** 2 * spin[here]) @ WEIGHTS)
-        swept[1, here] = np.abs(end - leads.axial[pair[here, 0]]) * swept[0, here]
+        swept[1, here] = np.abs(end - bisectors.axial[pair[here, 0]]) * swept[0, here]
     return swept
 
 
@@ -157,17 +155,17 @@ def flow(
     radius: Float[np.ndarray, "m k"],
     angle: Float[np.ndarray, "m k"],
     pair: Int[np.ndarray, "m 2"],
-    leads: Leads,
+    bisectors: Bisectors,
 ) -> tuple[Float[np.ndarray, "m k"], Float[np.ndarray, "m k"]]:
     """The integrals of (h - x_a) r dr and of (x_b - h) r dr from R_a to r, h the wall's height.
 
     h - x_a = gap / 2 + (f_b - f_a) / (2 gap). With c = cos(t - t_j), f_j - r^2 is R_a^2 - 2 R_a r c where the
     foot is at the apical end, and -(r c)^2 beyond.
     """
-    gap = (leads.axial[pair[:, 1]] - leads.axial[pair[:, 0]])[:, None]
-    inner, sums = leads.inner, []
+    gap = (bisectors.axial[pair[:, 1]] - bisectors.axial[pair[:, 0]])[:, None]
+    inner, sums = bisectors.inner, []
     for k in pair.T:
-        cosine = np.cos(angle) * leads.cosine[k, None] + np.sin(angle) * leads.sine[k, None]
+        cosine = np.cos(angle) * bisectors.cosine[k, None] + np.sin(angle) * bisectors.sine[k, None]
         leaves = np.clip(inner / np.maximum(cosine, TINY), inner, radius)
         clamped = inner**2 * (leaves**2 - inner**2) / 2 - 2 * inner * cosine * (leaves**3 - inner**3) / 3
         sums.append(clamped - cosine**2 * (radius**4 - leaves**4) / 4)
@@ -179,44 +177,44 @@ def primitive(
     radius: Float[np.ndarray, "m k"],
     angle: Float[np.ndarray, "m k"],
     pair: Int[np.ndarray, "m 2"],
-    leads: Leads,
+    bisectors: Bisectors,
 ) -> Float[np.ndarray, "m k"]:
     """P(r, t), the integral of |q_b - q_a| / |x_b - x_a| r dr from R_a to r."""
-    gap = np.abs(leads.axial[pair[:, 1]] - leads.axial[pair[:, 0]])[:, None]
+    gap = np.abs(bisectors.axial[pair[:, 1]] - bisectors.axial[pair[:, 0]])[:, None]
     heights = [
-        np.cos(angle) * leads.cosine[k][:, None] + np.sin(angle) * leads.sine[k][:, None] for k in pair.T
+        np.cos(angle) * bisectors.cosine[k][:, None] + np.sin(angle) * bisectors.sine[k][:, None] for k in pair.T
     ]
     first, last = (
         np.minimum(*heights),
         np.maximum(*heights),
     )  # cosines: the larger leaves its apical end first
     first, last = last, first
-    knots = [np.full_like(radius, leads.inner)]
+    knots = [np.full_like(radius, bisectors.inner)]
     for cosine in (first, last):
-        leaves = leads.inner / np.maximum(cosine, TINY)
-        knots.append(np.clip(leaves, leads.inner, radius))
+        leaves = bisectors.inner / np.maximum(cosine, TINY)
+        knots.append(np.clip(leaves, bisectors.inner, radius))
     knots.append(radius)
     across = (
-        leads.cosine[pair[:, 0]] * leads.cosine[pair[:, 1]] + leads.sine[pair[:, 0]] * leads.sine[pair[:, 1]]
+        bisectors.cosine[pair[:, 0]] * bisectors.cosine[pair[:, 1]]
+        + bisectors.sine[pair[:, 0]] * bisectors.sine[pair[:, 1]]
     )
     cosine = across[:, None]
     sine = (
-        leads.cosine[pair[:, 0]] * leads.sine[pair[:, 1]] - leads.sine[pair[:, 0]] * leads.cosine[pair[:, 1]]
+        bisectors.cosine[pair[:, 0]] * bisectors.sine[pair[:, 1]]
+        - bisectors.sine[pair[:, 0]] * bisectors.cosine[pair[:, 1]]
     )[:, None]
-    chord = np.square(leads.cosine[pair[:, 0]] - leads.cosine[pair[:, 1]])
-    chord = (chord + np.square(leads.sine[pair[:, 0]] - leads.sine[pair[:, 1]]))[:, None]
-    both = np.sqrt(1 + leads.inner**2 * chord / gap**2) * (knots[1] - knots[0]) * (knots[1] + knots[0]) / 2
+    chord = np.square(bisectors.cosine[pair[:, 0]] - bisectors.cosine[pair[:, 1]])
+    chord = (chord + np.square(bisectors.sine[pair[:, 0]] - bisectors.sine[pair[:, 1]]))[:, None]
+    both = np.sqrt(1 + bisectors.inner**2 * chord / gap**2) * (knots[1] - knots[0]) * (knots[1] + knots[0]) / 2
     # one foot above its apical end: 1 + (r cos D)^2 ... = (k r - k r0)^2 + rest
     steep = first / gap
-    middle = leads.inner * cosine / np.where(first > 0, first, 1)
-    one = _moment(knots[1] - middle, knots[2] - middle, steep, 1 + (leads.inner * sine / gap) ** 2, middle)
+    middle = bisectors.inner * cosine / np.where(first > 0, first, 1)
+    one = _moment(knots[1] - middle, knots[2] - middle, steep, 1 + (bisectors.inner * sine / gap) ** 2, middle)
     two = _moment(knots[2], knots[3], np.abs(sine) / gap, np.ones_like(gap), 0 * middle)
     return both + one + two
 
 
-def _moment(
-    low: np.ndarray, high: np.ndarray, steep: np.ndarray, rest: np.ndarray, shift: np.ndarray
-) -> np.ndarray:
+def _moment(low: np.ndarray, high: np.ndarray, steep: np.ndarray, rest: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Integral of (u + shift) sqrt(steep^2 u^2 + rest) du."""
     root_low, root_high = np.sqrt((steep * low) ** 2 + rest), np.sqrt((steep * high) ** 2 + rest)
     cubes = (root_high**2 + root_high * root_low + root_low**2) / (3 * (root_high + root_low))

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from jaxtissue.topology.bisectors import TOUCH, Leads
+from jaxtissue.topology.bisectors import TOUCH, Bisectors
 
 RAYS = 8  # from the middle of a lens, on which its edge is sought
 
@@ -25,17 +25,17 @@ class Seeds(NamedTuple):
     labels: Int[np.ndarray, "m 3"]
 
 
-def seed(leads: Leads) -> Seeds:
+def seed(bisectors: Bisectors) -> Seeds:
     """Where each backbone's end, moved along x on either surface, meets a wall or an end."""
-    n, seeds = leads.count, []
-    own, surface = np.tile(leads.order, 2), np.repeat([0, 1], n)
-    radius = np.array([leads.inner, leads.outer])[surface]
-    place = np.stack([leads.axial[own], radius * leads.cosine[own], radius * leads.sine[own]], axis=1)
+    n, seeds = bisectors.count, []
+    own, surface = np.tile(bisectors.order, 2), np.repeat([0, 1], n)
+    radius = np.array([bisectors.inner, bisectors.outer])[surface]
+    place = np.stack([bisectors.axial[own], radius * bisectors.cosine[own], radius * bisectors.sine[own]], axis=1)
     for side in (-1, 1):
-        away, other = first_wall(place, own, side, leads)
+        away, other = first_wall(place, own, side, bisectors)
         point = place.copy()
-        point[:, 0] = np.clip(place[:, 0] + side * away, 0, leads.length)
-        met = (point[:, 0] > 0) & (point[:, 0] < leads.length)
+        point[:, 0] = np.clip(place[:, 0] + side * away, 0, bisectors.length)
+        met = (point[:, 0] > 0) & (point[:, 0] < bisectors.length)
         walls = np.stack([*np.sort([own, other], axis=0), n + surface], axis=1)
         rims = np.stack([own, n + surface, np.full(2 * n, n + 2 + (side > 0))], axis=1)
         seeds.append((point, np.where(met[:, None], walls, rims)))
@@ -43,27 +43,27 @@ def seed(leads: Leads) -> Seeds:
 
 
 def first_wall(
-    place: Float[np.ndarray, "m 3"], own: Int[np.ndarray, " m"], side: int, leads: Leads
+    place: Float[np.ndarray, "m 3"], own: Int[np.ndarray, " m"], side: int, bisectors: Bisectors
 ) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " m"]]:
     """How far along x, on one side of points on their own backbones, the first wall is, and whose.
 
     A wall lies more than half-way to its backbone: those are looked through by axial place until it is so.
     """
-    rank = np.empty(leads.count, int)
-    rank[leads.order] = np.arange(leads.count)
+    rank = np.empty(bisectors.count, int)
+    rank[bisectors.order] = np.arange(bisectors.count)
     away, other = np.full(len(own), np.inf), own.copy()
     open_, done, count = np.arange(len(own)), 0, 16
     while len(open_):
         ahead = rank[own[open_], None] + side * (done + 1 + np.arange(count))
-        rival = leads.order[np.clip(ahead, 0, leads.count - 1)]
-        lead, slope = leads.over_first(place[open_], np.append(own[open_, None], rival, axis=1))
+        rival = bisectors.order[np.clip(ahead, 0, bisectors.count - 1)]
+        lead, slope = bisectors.over_first(place[open_], np.append(own[open_, None], rival, axis=1))
         toward = side * slope[0]
         walls = np.where(toward > 0, -lead / np.where(toward > 0, toward, 1), np.inf)
         best = walls.argmin(axis=1)[:, None]
         wall, rival = (np.take_along_axis(table, best, axis=1)[:, 0] for table in (walls, rival))
         nearer = wall < away[open_]
         away[open_[nearer]], other[open_[nearer]] = wall[nearer], rival[nearer]
-        inside = (ahead[:, -1] >= 0) & (ahead[:, -1] < leads.count)
+        inside = (ahead[:, -1] >= 0) & (ahead[:, -1] < bisectors.count)
         done, count = done + count, 2 * count
         open_ = open_[inside & (toward[:, -1] / 4 < away[open_])]
     return away, other
@@ -73,7 +73,7 @@ def seed_lenses(
     pairs: Int[np.ndarray, "w 2"],
     center: Float[np.ndarray, "w 3"],
     reach: Float[np.ndarray, " w"],
-    leads: Leads,
+    bisectors: Bisectors,
 ) -> Seeds:
     """Points on the edges of lenses within the walls of pairs, in balls that hold the walls and whoever comes
     as near to them as their own cells.
@@ -83,14 +83,14 @@ def seed_lenses(
     a and b above theirs; there half the second derivative is (1 - k) u_a u_a^T + k u_b u_b^T, with u_j the
     directions of the backbones.
     """
-    way = np.stack([leads.cosine, leads.sine], axis=1)
-    tips = np.concatenate([leads.axial[:, None], leads.inner * way], axis=1)[: leads.count]
+    way = np.stack([bisectors.cosine, bisectors.sine], axis=1)
+    tips = np.concatenate([bisectors.axial[:, None], bisectors.inner * way], axis=1)[: bisectors.count]
     found = KDTree(tips).query_ball_point(center, reach)
     wall, cell = np.repeat(np.arange(len(pairs)), [len(some) for some in found]), np.concatenate([[], *found])
     cell = cell.astype(int)
-    gap = leads.axial[pairs[wall, 1]] - leads.axial[pairs[wall, 0]]
+    gap = bisectors.axial[pairs[wall, 1]] - bisectors.axial[pairs[wall, 0]]
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = (leads.axial[cell] - leads.axial[pairs[wall, 0]]) / gap
+        share = (bisectors.axial[cell] - bisectors.axial[pairs[wall, 0]]) / gap
     between = (share > 0) & (share < 1)
     share, triple = share[between], np.append(pairs[wall[between]], cell[between, None], axis=1)
     one, two, three = (way[triple[:, place]] for place in range(3))
@@ -98,21 +98,21 @@ def seed_lenses(
     half = half + share[:, None, None] * two[:, :, None] * two[:, None]
     flat = np.linalg.det(half) < 1e-9
     half[flat] = np.eye(2)
-    across = np.linalg.solve(half, leads.inner * three[..., None])[..., 0]
+    across = np.linalg.solve(half, bisectors.inner * three[..., None])[..., 0]
     point = np.append(np.zeros((len(across), 1)), across, axis=1)
-    lead, slope = leads.over_first(point, triple)
+    lead, slope = bisectors.over_first(point, triple)
     with np.errstate(divide="ignore", invalid="ignore"):
         point[:, 0] = -lead[:, 0] / slope[0, :, 0]
-    depth = leads.over_first(point, triple)[0][:, 1]
+    depth = bisectors.over_first(point, triple)[0][:, 1]
     radius = np.hypot(*across.T)
-    lens = ~flat & (depth > 0) & (radius > leads.inner) & (radius < leads.outer)
-    lens &= (point[:, 0] > 0) & (point[:, 0] < leads.length)
+    lens = ~flat & (depth > 0) & (radius > bisectors.inner) & (radius < bisectors.outer)
+    lens &= (point[:, 0] > 0) & (point[:, 0] < bisectors.length)
     for direction, clamped in ((one, False), (two, False), (three, True)):
-        lens &= ((across * direction).sum(axis=1) < leads.inner) == clamped
-    return _rays(point[lens], triple[lens], half[lens], depth[lens], leads)
+        lens &= ((across * direction).sum(axis=1) < bisectors.inner) == clamped
+    return _rays(point[lens], triple[lens], half[lens], depth[lens], bisectors)
 
 
-def _rays(point: np.ndarray, triple: np.ndarray, half: np.ndarray, depth: np.ndarray, leads: Leads) -> Seeds:
+def _rays(point: np.ndarray, triple: np.ndarray, half: np.ndarray, depth: np.ndarray, bisectors: Bisectors) -> Seeds:
     """Where rays from the middle of lenses meet their edges, if nobody is nearer there."""
     turn = 2 * np.pi * np.arange(RAYS) / RAYS
     ray = np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -120,10 +120,10 @@ def _rays(point: np.ndarray, triple: np.ndarray, half: np.ndarray, depth: np.nda
     place = np.repeat(point[:, None], RAYS, axis=1)
     place[..., 1:] += far[..., None] * ray
     place, triple = place.reshape(-1, 3), np.repeat(triple, RAYS, axis=0)
-    lead, slope = leads.over_first(place, triple)
+    lead, slope = bisectors.over_first(place, triple)
     place[:, 0] -= lead[:, 0] / slope[0, :, 0]
     labels = np.sort(triple, axis=1)
-    place, met = leads.solve(place, labels, np.full(len(place), TOUCH * leads.size))
+    place, met = bisectors.solve(place, labels, np.full(len(place), TOUCH * bisectors.size))
     place, labels = place[met], labels[met]
-    own = leads.foremost(place, labels)[1] <= TOUCH * leads.size
+    own = bisectors.nearest_competitor(place, labels)[1] <= TOUCH * bisectors.size
     return Seeds(place[own], labels[own])

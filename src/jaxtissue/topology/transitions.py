@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.topology.bisectors import Leads
+from jaxtissue.topology.bisectors import Bisectors
 from jaxtissue.topology.contacts import Faces, find_faces
 from jaxtissue.topology.edges import WIDE, EdgeGraph, trace_edges
 from jaxtissue.topology.rims import along
@@ -62,7 +62,7 @@ def find_transitions(
     inner = graph.vertex_labels[:, 3] < graph.cells
     if graph.blur:
         place = as_positions(positions, tube, np.float64)
-        inner &= ~_of_slivers(graph, find_faces(graph, Leads(place, tube)) if faces is None else faces)
+        inner &= ~_of_slivers(graph, find_faces(graph, Bisectors(place, tube)) if faces is None else faces)
     cells = graph.vertex_labels[inner]
     per_cell = np.bincount(cells.ravel(), minlength=graph.cells)
     return Transitions(graph.vertices[inner], cells, per_cell, graph.open_ends)
@@ -94,14 +94,14 @@ def find_forms(
     """
     place = as_positions(positions, tube, np.float64)
     graph = trace_edges(place, tube) if edges is None else edges
-    faces = find_faces(graph, Leads(place, tube)) if faces is None else faces
+    faces = find_faces(graph, Bisectors(place, tube)) if faces is None else faces
     return CellForms(_find_rings(place, tube, graph), _count_pieces(graph, faces))
 
 
 def _find_rings(place: np.ndarray, tube: Tube, graph: EdgeGraph) -> Bool[np.ndarray, " n"]:
     """Cells whose silhouette leaves out some radius."""
     n, inner, outer = graph.cells, float(tube.apical_radius), float(tube.basal_radius)
-    low, high = _radial_ranges(graph, Leads(place, tube))
+    low, high = _radial_ranges(graph, Bisectors(place, tube))
     ahead = np.concatenate([place[:, 0], [np.nan, np.nan, -np.inf, np.inf]])  # no silhouette on the surfaces
     cells, edges = [np.arange(n)], [np.full(n, -1)]
     for own, first, second in ((0, 1, 2), (1, 0, 2), (2, 0, 1)):
@@ -123,7 +123,7 @@ def _find_rings(place: np.ndarray, tube: Tube, graph: EdgeGraph) -> Bool[np.ndar
     return np.bincount(cell, following > high + GAP * outer + WIDE * graph.blur, n) > 0
 
 
-def _radial_ranges(graph: EdgeGraph, leads: Leads) -> tuple[Float[np.ndarray, " e"], Float[np.ndarray, " e"]]:
+def _radial_ranges(graph: EdgeGraph, bisectors: Bisectors) -> tuple[Float[np.ndarray, " e"], Float[np.ndarray, " e"]]:
     """Least and greatest radius on each edge; found on the cubics of its segments."""
     ends, tangents = graph.points, graph.tangents
     radius = np.hypot(ends[..., 1], ends[..., 2])
@@ -141,7 +141,7 @@ def _radial_ranges(graph: EdgeGraph, leads: Leads) -> tuple[Float[np.ndarray, " 
         inside = np.flatnonzero((b**2 >= a * c) & (s > 0) & (s < 1))
         at = along(ends[inside], tangents[inside] * chord[inside, None, None], s[inside, None])[0]
         # of the edge itself: exact to second order in the error of s
-        at = leads.solve(at, labels[inside], 1e-7 * chord[inside])[0]
+        at = bisectors.solve(at, labels[inside], 1e-7 * chord[inside])[0]
         value = np.hypot(at[:, 1], at[:, 2])
         low[inside], high[inside] = np.fmin(low[inside], value), np.fmax(high[inside], value)
     count = len(graph.edge_labels)
