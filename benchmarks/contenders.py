@@ -42,7 +42,7 @@ def tissue(case: str) -> tuple[np.ndarray, jt.Tube]:
 
 def from_scratch(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> jt.CellGeometry:
     """The cells, on lists found anew."""
-    return jt.measure_tissue(place, tube, size, surfaces=False, refine=False)[0]
+    return jt.measure_tissue(place, tube, size, surfaces=False, refine=False)
 
 
 def diagram(case: str, kind: str, size: Any) -> Callable[[], tuple[Any, Any]]:

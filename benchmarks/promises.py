@@ -98,7 +98,7 @@ def energies() -> dict[str, Any]:
                 while state.sweep < SWEEPS:
                     state, rows, _ = run.advance(state)
                     drift = max(drift, rows[-1].drift)
-                cells, _ = jt.measure_tissue(state.positions, run.model.tube, FINE, refine=False)
+                cells = jt.measure_tissue(state.positions, run.model.tube, FINE, refine=False)
                 ends.append(float(np.sum(jt.epithelial_energy(cells, run.model), dtype=float)))
             row = {"energies": ends, "mean": np.mean(ends), "spread": np.std(ends, ddof=1), "drift": drift}
             found[f"R_a = {radius:g}, {algorithm}"] = row

@@ -62,7 +62,7 @@ def our_sweeps(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> dict[st
 
 def fine_energy(place: Any, tube: jt.Tube) -> float:
     """The tissue's energy by `fine`."""
-    cells, _ = jt.measure_tissue(jnp.asarray(place, jnp.result_type(float)), tube, jt.PRESETS["fine"], refine=False)
+    cells = jt.measure_tissue(jnp.asarray(place, jnp.result_type(float)), tube, jt.PRESETS["fine"], refine=False)
     return float(np.sum(jt.epithelial_energy(cells, jt.tube_model(tube, len(place))), dtype=float))
 
 

@@ -36,7 +36,7 @@ def run(apical_radius: float) -> dict:
             first, programs = time.perf_counter() - begin, len(PROGRAMS)
     fine = {}
     for sweep, positions in looks.items():
-        cells, _ = jt.measure_tissue(jnp.asarray(positions), tube, jt.PRESETS["fine"], refine=False)
+        cells = jt.measure_tissue(jnp.asarray(positions), tube, jt.PRESETS["fine"], refine=False)
         fine[sweep] = float(jt.epithelial_energy(cells, model).sum())
     seconds = [record.seconds for record in records[1 + 2 * SPAN :]]
     return {

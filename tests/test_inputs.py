@@ -70,14 +70,14 @@ def test_positions_of_any_kind_are_floats(kind):
 
 
 def test_whole_numbers_are_measured_as_floats():
-    right, _ = jt.measure_tissue(FLOATS, TUBE, "draft", surfaces=False)
+    right = jt.measure_tissue(FLOATS, TUBE, "draft", surfaces=False)
     exact = jt.exact_cells(FLOATS, TUBE, 50)
     np.testing.assert_allclose(right.volume, exact.volume, rtol=1e-4)
     np.testing.assert_allclose(right.lateral_area, exact.lateral_area, rtol=3e-3)  # samples, the exact path
     measurer = jt.CellMeasurer(TUBE, "draft")
     kept = measurer.measure(FLOATS).volume
     for kind in ("i8", "u1", "f2", ">f8", "list", "frame"):
-        cells, _ = jt.measure_tissue(KINDS[kind], TUBE, "draft", surfaces=False)
+        cells = jt.measure_tissue(KINDS[kind], TUBE, "draft", surfaces=False)
         for column, same in zip(jax.tree.leaves(cells), jax.tree.leaves(right), strict=True):
             np.testing.assert_array_equal(column, same)
         np.testing.assert_array_equal(measurer.measure(KINDS[kind]).volume, kept)
@@ -185,7 +185,7 @@ def test_backbones_too_near_for_float32():
         jt.measure_tissue(near, TUBE, "draft", surfaces=False, refine=False)
     with jax.enable_x64(True), warnings.catch_warnings():
         warnings.simplefilter("error")
-        cells, _ = jt.measure_tissue(near, TUBE, "draft", surfaces=False, refine=False)
+        cells = jt.measure_tissue(near, TUBE, "draft", surfaces=False, refine=False)
         as_positions([*others, [5, 1 + 1e-7]], TUBE)
     exact = jt.exact_cells(near, TUBE, 100)
     np.testing.assert_allclose(cells.volume, exact.volume, atol=0.01 * exact.volume.mean())  # `draft`
@@ -257,8 +257,8 @@ def test_concrete_jax_sizes_are_checked():
 
 def test_sizes_that_64_bits_can_measure(x64):
     small = jt.Tube(20e-20, 1e-20, 3e-20)
-    cells, _ = jt.measure_tissue(FLOATS * [1e-20, 1], small, "draft", surfaces=False)
-    usual, _ = jt.measure_tissue(FLOATS, TUBE, "draft", surfaces=False)
+    cells = jt.measure_tissue(FLOATS * [1e-20, 1], small, "draft", surfaces=False)
+    usual = jt.measure_tissue(FLOATS, TUBE, "draft", surfaces=False)
     np.testing.assert_allclose(cells.volume * 1e60, usual.volume, rtol=1e-9)
     with pytest.raises(ValueError, match="range of float64"):
         jt.Tube(1e200, 1, 3)
@@ -272,7 +272,7 @@ def test_resolutions_are_given_as_any_of_these(given):
 def test_presets_are_taken_by_name():
     tube, place = jt.Tube(20, 1, 3), FLOATS
     sizes = [jt.PRESETS["draft"], "draft", "4x4"]
-    same, *others = (jt.measure_tissue(place, tube, size, surfaces=False, refine=False)[0].volume for size in sizes)
+    same, *others = (jt.measure_tissue(place, tube, size, surfaces=False, refine=False).volume for size in sizes)
     for other in others:
         np.testing.assert_array_equal(other, same)
     assert jt.CellMeasurer(tube, "fine").resolution == jt.PRESETS["fine"]

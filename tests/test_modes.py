@@ -31,7 +31,7 @@ def results() -> dict[str, np.ndarray]:
     ends = np.asarray(backbones.apical)[:4]
     labels, distances = jt.nearest_backbones(voxels[0], backbones)
     sides = jt.find_candidates(place, tube)
-    cells, _ = jt.measure_tissue(place, tube, draft)
+    cells = jt.measure_tissue(place, tube, draft)
     model = jt.tube_model(tube, CELLS)
     annealer = jt.Annealer(model, draft, "is-mh", 1, jt.constant_schedule(2.0, 1))
     state = annealer.start(place)

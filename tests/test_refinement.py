@@ -63,7 +63,7 @@ def test_awkward_cells_are_right_without_a_word(case: str) -> None:
     exact = exact_cells(positions, tube, 200)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        cells, _ = measure_tissue(positions, tube)
+        cells = measure_tissue(positions, tube)
     off = errors(cells, exact.volume, exact.lateral_area)
     assert off[0].max() < LIMITS[0] and off[1].max() < LIMITS[1]
 
@@ -72,7 +72,7 @@ def test_awkward_cells_are_right_without_a_word(case: str) -> None:
 def test_estimates_bound_the_errors_and_are_not_far_above(name: str) -> None:
     ref = read_reference(name)
     volume, area = ref.data["V"], ref.data["lateral"]
-    cells, _ = measure_tissue(ref.positions, ref.tube)
+    cells = measure_tissue(ref.positions, ref.tube)
     off, told = errors(cells, volume, area), estimates(cells, volume, area)
     for true, bound in zip(off, told, strict=True):
         assert (bound >= true).mean() >= 0.95
@@ -81,7 +81,7 @@ def test_estimates_bound_the_errors_and_are_not_far_above(name: str) -> None:
 
 def test_a_tolerance_is_met_by_every_cell(reference) -> None:
     volume, area = reference.data["V"], reference.data["lateral"]
-    cells, _ = measure_tissue(reference.positions, reference.tube, "draft", tolerance=1e-3)
+    cells = measure_tissue(reference.positions, reference.tube, "draft", tolerance=1e-3)
     off = errors(cells, volume, area)
     # the reference's own areas are off by up to 1.1e-3, as contacts and the exact path agree
     assert off[0].max() < 2e-5 and off[1].max() < 1.2e-3
@@ -92,7 +92,7 @@ def test_doubtful_cells_of_a_large_tissue_are_traced_among_their_candidates() ->
     ref = read_reference("ratio10_n100")
     place = ref.positions.copy()
     place[1] = place[0] + 1e-5  # float32 tells them apart by a few of its steps
-    cells, _ = measure_tissue(place, ref.tube)
+    cells = measure_tissue(place, ref.tube)
     exact = find_connectivity(place, ref.tube).sizes
     assert exact is not None
     off = errors(cells, exact.volume, exact.lateral_area)
@@ -105,7 +105,7 @@ def test_what_can_not_be_traced_is_measured_by_rules_and_said_to_be_doubtful(mon
     monkeypatch.setattr(measurer, "trace_sizes", lambda *_: None)
     monkeypatch.setattr(refinement, "trace_sizes", lambda *_: None)
     with pytest.warns(UserWarning) as told:
-        cells, _ = measure_tissue(ref.positions, ref.tube, tolerance=1e-3)
+        cells = measure_tissue(ref.positions, ref.tube, tolerance=1e-3)
     said = [str(warning.message) for warning in told]
     assert any("lateral area of" in text and "may be off by more than 0.1 %" in text for text in said)
     off = errors(cells, ref.data["V"], ref.data["lateral"])
@@ -127,7 +127,7 @@ def test_near_twins_are_those_that_rounding_moves() -> None:
 
 def test_what_is_doubtful_is_named() -> None:
     tube = Tube(10, 1, 3)
-    cells, _ = measure_tissue(tube.random_positions(jax.random.key(0), 6), tube)
+    cells = measure_tissue(tube.random_positions(jax.random.key(0), 6), tube)
     assert not list(doubts(cells, tube, LIMITS))
     (message,) = doubts(eqx.tree_at(lambda c: c.volume_error, cells, cells.volume / 3), tube, LIMITS)
     worst = int(np.argmax(np.asarray(cells.volume)))

@@ -3,7 +3,7 @@
 >>> import jax, jaxtissue as jt
 >>> tube = jt.Tube(length=20, apical_radius=1, basal_radius=10)
 >>> positions = tube.random_positions(jax.random.key(0), 100)
->>> cells, defect = jt.measure_tissue(positions, tube)
+>>> cells = jt.measure_tissue(positions, tube)
 >>> bool(abs(cells.volume.sum() / tube.volume - 1) < 1e-3)
 True
 """

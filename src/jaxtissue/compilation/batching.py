@@ -194,8 +194,8 @@ def _run_alike(requests: Sequence[Request], slots: int, devices: int) -> list[An
     program = PROGRAMS.get(known)
     if program is None or isinstance(program, Future):
         begin = time.perf_counter()
-        fails = program is None or program.exception()
-        program = _compiling(requests[0], mesh, batch)() if fails else program.result()
+        begun = None if program is None or program.exception() else program
+        program = begun.result() if begun else _compiling(requests[0], mesh, batch)()
         PROGRAMS[known] = program
         compiling = time.perf_counter() - begin
     pending = program(*batch)

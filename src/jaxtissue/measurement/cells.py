@@ -40,6 +40,7 @@ class CellGeometry(eqx.Module):
     touches_end: Bool[Array, "cells"] | None = None
     volume_error: Float[Array, "cells"] | None = None
     lateral_area_error: Float[Array, "cells"] | None = None
+    tiling_defect: Float[Array, ""] | None = None
 
 
 class Window(NamedTuple):

@@ -200,7 +200,7 @@ def measure_volumes(plan: Plan, store: Store) -> Table:
     for seed, run in enumerate(store.histories(annealing, range(plan.seeds))):
         for sweep in (0, *plan.kept):
             place = jnp.asarray(run.positions[sweep])
-            cells, _ = measure_tissue(place, annealing.tube)
+            cells = measure_tissue(place, annealing.tube)
             volume, ends, count = np.asarray(cells.volume), np.asarray(cells.touches_end), len(place)
             order = np.argsort(volume, kind="stable")
             table = {"seed": np.full(count, seed), "sweep": np.full(count, sweep)}

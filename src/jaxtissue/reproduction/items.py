@@ -53,7 +53,7 @@ def make_fig5(plan: Plan, store: Store) -> Product:
     tube = plan.tube(PICTURED_RATIO)
     run = store.histories(plan.annealing(PICTURED_RATIO), [0])[0]
     places = [np.asarray(place, float) for place in (run.positions[0], run.positions[-1])]
-    volumes = [np.asarray(measure_tissue(jnp.asarray(place), tube)[0].volume, float) for place in places]
+    volumes = [np.asarray(measure_tissue(jnp.asarray(place), tube).volume, float) for place in places]
     cell = int(volumes[0].argmin())
     states = zip(("start", f"after {plan.sweeps} sweeps"), volumes, strict=True)
     titles = [f"{when}: volume {volume[cell]:.3g} (mean {volume.mean():.3g})" for when, volume in states]
@@ -79,7 +79,7 @@ def make_fig8(plan: Plan, store: Store) -> Product:
 def make_fig9(plan: Plan, store: Store) -> Product:
     """The surfaces of the same tissue."""
     tube, place = _pictured(plan)
-    cells, _ = measure_tissue(jnp.asarray(place), tube)
+    cells = measure_tissue(jnp.asarray(place), tube)
     sizes = {name: np.asarray(getattr(cells, name)) for name in ("volume", "apical_area", "basal_area")}
     tissue = Tissue(f"{len(place)} random cells", place, sizes["volume"])
     return Product({"": _backbones(place) | sizes}, plot_surfaces(tube, [tissue])[0])
@@ -179,7 +179,7 @@ def _pictured(plan: Plan) -> tuple[Tube, np.ndarray]:
 def _annealed(plan: Plan, store: Store) -> tuple[Tube, np.ndarray, np.ndarray]:
     tube = plan.tube(PICTURED_RATIO)
     place = store.histories(plan.annealing(PICTURED_RATIO), [0])[0].positions[-1]
-    cells, _ = measure_tissue(jnp.asarray(place), tube)
+    cells = measure_tissue(jnp.asarray(place), tube)
     return tube, np.asarray(place, float), np.asarray(cells.touches_end)
 
 

@@ -45,7 +45,7 @@ def _connect(plan: Plan, ratio: float, kind: str, seed: int, place: np.ndarray) 
     """The row of a tissue, whose relaxation by Lloyd's method is left to do."""
     tube = plan.tube(ratio)
     place = relax_lloyd(place, tube) if kind == "lloyd" else place
-    cells, _ = measure_tissue(jnp.asarray(place), tube)
+    cells = measure_tissue(jnp.asarray(place), tube)
     energy = tube_model(tube, plan.cells).cell_energy(cells, tube_model(tube, plan.cells))
     found = find_connectivity(place, tube)
     row: dict[str, Any] = {"ratio": ratio, "kind": kind, "seed": seed}

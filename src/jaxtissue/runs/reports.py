@@ -41,7 +41,7 @@ def tabulate_cells(
 ) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """One row per cell, and the figures of the whole tissue; lengths, areas, volumes in units of the tube's.
 
-    The summary's separation of a single cell is infinite; its `overflow` is the relative error of an exact
+    The summary's separation of a single cell is infinite; its `tiling_defect` is the relative error of an exact
     tiling sum, 0 where every cell lies within the lines it was measured on; its `largest_volume_error` and
     `largest_lateral_area_error` are fractions of the mean cell, as the `tolerance` is. Connectivity adds its
     columns and the exact `is_end`; without it, that is what the lines see.
@@ -50,11 +50,12 @@ def tabulate_cells(
     positions = model.tube.reflect(jnp.asarray(positions))
     place = np.stack([axial, angle], axis=-1)
     if connectivity is not None and connectivity.sizes is not None:
-        cells, overflow = plain(connectivity.sizes._asdict(), jnp.result_type(float)), 0.0
+        cells, defect = plain(connectivity.sizes._asdict(), jnp.result_type(float)), 0.0
         for message in doubts(cells, model.tube, as_limits(tolerance)):
             warnings.warn(message, stacklevel=2)
     else:
-        cells, overflow = measure_tissue(place, model.tube, resolution, tolerance=tolerance)
+        cells = measure_tissue(place, model.tube, resolution, tolerance=tolerance)
+        defect = cells.tiling_defect
     energy = np.asarray(tissue_energies(cells, model))
     require_finite(energy, model)
     columns = {"cell": np.arange(len(axial)), "axial": axial, "angle": angle}
@@ -71,7 +72,7 @@ def tabulate_cells(
         "separation": apart,
         "covering_radius": covering,
         "tightness": covering / apart,
-        "overflow": float(overflow),
+        "tiling_defect": float(defect),
     }
     # as fractions of the mean cell
     for size, error in zip(_SIZES, _ERRORS, strict=False):
@@ -126,7 +127,7 @@ def compare_presets(
     positions, rows = tube.reflect(jnp.asarray(positions)), []
     for name, resolution in PRESETS.items():
         jax.block_until_ready(measure_tissue(positions, tube, resolution, refine=False))
-        (cells, _), seconds = _timed(lambda at=resolution: measure_tissue(positions, tube, at, refine=False))
+        cells, seconds = _timed(lambda at=resolution: measure_tissue(positions, tube, at, refine=False))
         volume = _relative(cells.volume, exact.volume)
         area = _relative(cells.lateral_area, exact.lateral_area)
         errors = [how for error in (volume, area) for how in (math.sqrt((error**2).mean()), abs(error).max())]

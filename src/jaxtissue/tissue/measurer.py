@@ -4,6 +4,7 @@ import functools
 import math
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -52,10 +53,10 @@ def measure_tissue(
     surfaces: bool = True,
     tolerance: float | None = None,
     refine: bool = True,
-) -> tuple[CellGeometry, float]:
+) -> CellGeometry:
     """Sizes of every cell of a tissue with bounds of their errors, and the defect of an exact sum over cells.
 
-    The defect is the largest relative error of the cells' lengths summed along a line, `tiling_defect`: 0 to
+    The `tiling_defect` is the largest relative error of the cells' lengths summed along a line, `tiling_defect`: 0 to
     rounding, as lists are grown until it is or they hold all cells, and 0 for up to 64 cells. So this takes
     concrete arrays; inside `jit` call `measure_cells`. Positions as (axial, angle), [n, 2], in any form that
     `as_positions` takes; a resolution as `as_resolution` does. Without `surfaces`, areas and perimeters on
@@ -85,11 +86,12 @@ def measure_tissue(
         sides, (defect, is_far) = complete_lists(place, tube)
         if not refine:
             lines = plan_lines(tube, n, resolution, surfaces=surfaces)
-            return _measure(place, jax.tree.map(np.asarray, (tube, lines, sides))), float(defect)
+            measured = _measure(place, jax.tree.map(np.asarray, (tube, lines, sides)))
+            return replace(measured, tiling_defect=jnp.asarray(defect))
         cells = measure_refined(Tissue(place, given, tube, sides, is_far), resolution, surfaces, limits)
     for message in doubts(cells, tube, limits):
         warnings.warn(message, stacklevel=3)
-    return cells, float(defect)
+    return replace(cells, tiling_defect=jnp.asarray(defect, cells.volume.dtype))
 
 
 def as_limits(tolerance: float | None) -> tuple[float, float]:
