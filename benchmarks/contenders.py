@@ -21,11 +21,14 @@ import numpy as np
 
 import jaxtissue as jt
 from jaxtissue.compilation.fusion import options
+from jaxtissue.measurement.cells import measure_cells
+from jaxtissue.measurement.quadrature import plan_lines
+from jaxtissue.neighbors.search import find_candidates
 
 CASES = ("R_a = 1", "R_a = 5")
 CALLS = 15  # timed in a row, about as long as the peer's three; their median is the answer
 measure_sizes = jax.jit(  # and no survey
-    lambda *arguments: jt.measure_cells(*arguments)[0], compiler_options=options()
+    lambda *arguments: measure_cells(*arguments)[0], compiler_options=options()
 )
 
 
@@ -69,7 +72,7 @@ def diagram(case: str, kind: str, size: Any) -> Callable[[], tuple[Any, Any]]:
         return count
     size = jt.Resolution(*size)
     if kind == "complete":
-        lines, sides = jt.plan_lines(tube, len(place), size), jnp.asarray(jt.find_candidates(place, tube))
+        lines, sides = plan_lines(tube, len(place), size), jnp.asarray(find_candidates(place, tube))
         measure = partial(measure_sizes, positions, tube, lines, sides)
     elif kind == "scratch":
         measure = partial(from_scratch, place, tube, size)

@@ -23,7 +23,9 @@ import numpy as np
 
 import jaxtissue as jt
 from jaxtissue.compilation.fusion import options
-from jaxtissue.dynamics.annealer import SPAN
+from jaxtissue.dynamics.annealer import SPAN, advance_together, record_together
+from jaxtissue.measurement.cells import measure_cells
+from jaxtissue.measurement.quadrature import plan_lines
 
 CELLS, REPLICAS = (500, 10_000, 100_000, 1_000_000), (1, 64, 1024)
 DRAFT = jt.PRESETS["draft"]
@@ -31,7 +33,7 @@ FLOPS = 13  # of `views.meeting`: the sagitta 4, the foot 1, the square 6, the r
 BYTES = 17_000  # memory that a cell takes in a sweep, its candidates most of it (see scale.py)
 SWEEPS = 3 * SPAN
 AGREE = 1e-4  # of the mean cell: as far as two devices may differ in one cell, in float32
-_measure = jax.jit(jt.measure_cells, compiler_options=options())
+_measure = jax.jit(measure_cells, compiler_options=options())
 
 
 def seconds_of(call: Callable[[], Any], repeats: int = 5) -> float:
@@ -78,7 +80,7 @@ def diagrams(cells: int, peak: float) -> dict[str, Any]:
     measurer.measure(place)
     near = measurer.sides
     assert near is not None
-    lines = jt.plan_lines(tube, cells, DRAFT)
+    lines = plan_lines(tube, cells, DRAFT)
 
     def measure(device: Any) -> tuple[Any, float]:
         positions, lists = jax.device_put((place, near), device)
@@ -106,9 +108,9 @@ def sweeps(cells: int, replicas: int) -> dict[str, Any]:
     model, schedule = jt.tube_model(tube, cells), jt.constant_schedule(2.0, SWEEPS)
     annealers = [jt.Annealer(model, DRAFT, "is-mh", seed, schedule) for seed in range(replicas)]
     states = [annealer.start(place) for annealer in annealers]
-    records = [jt.record_together(annealers, states)[0]]
+    records = [record_together(annealers, states)[0]]
     while states[0].sweep < SWEEPS:
-        spans = jt.advance_together(annealers, states)
+        spans = advance_together(annealers, states)
         states = [state for state, _, _ in spans]
         records += spans[0][1]
     # a row tells the time divided by the replicas

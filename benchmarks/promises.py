@@ -21,7 +21,7 @@ import numpy as np
 
 import jaxtissue as jt
 from jaxtissue.compilation.batching import PROGRAMS
-from jaxtissue.dynamics.annealer import SPAN
+from jaxtissue.dynamics.annealer import SPAN, advance_together
 
 CELLS, SWEEPS, SEEDS = 500, 100, 5
 RADII = (1.0, 5.0, 2.0, 8.0)
@@ -43,7 +43,7 @@ def sweeps(count: int, cores: int) -> dict[str, Any]:
     spans, known = [], 0
     while states[0].sweep < SWEEPS:
         begin = time.perf_counter()
-        results = jt.advance_together(runs, states)
+        results = advance_together(runs, states)
         known = known or len(PROGRAMS)
         states = [state for state, _, _ in results]
         if states[0].sweep > 2 * SPAN:

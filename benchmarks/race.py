@@ -18,6 +18,7 @@ from peer import Peer, find_peer
 
 import jaxtissue as jt
 from jaxtissue.dynamics.annealer import SPAN
+from jaxtissue.measurement.quadrature import as_resolution
 
 RESOLUTIONS = ("draft", "standard", "fine", "3x4", "4x3.3", "7x7")
 ALGORITHMS, SAMPLES = ("incremental MH", "IS-MH"), (4, 10, 50)
@@ -81,7 +82,7 @@ def race(radius: float, n: int, peer: Peer | None, arguments: Any) -> dict[str, 
     """One configuration: everybody's turn, and that several times over; medians of the seconds."""
     tube = jt.Tube(100.0, radius, 10.0)
     place = np.asarray(tube.random_positions(jax.random.key(0), n))
-    sizes = {name: jt.as_resolution(name) for name in arguments.resolutions}
+    sizes = {name: as_resolution(name) for name in arguments.resolutions}
     ours: dict[str, list] = {name: [] for name in arguments.resolutions}
     theirs: dict[tuple[str, int], list] = {rival: [] for rival in product(ALGORITHMS, SAMPLES)}
     for size in sizes.values():  # compiled before the race

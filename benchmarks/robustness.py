@@ -36,7 +36,7 @@ from jaxtissue.system.locks import NAME as LOCK
 TUBE = ["--length", "12", "--apical-radius", "2", "--basal-radius", "4", "--cells", "30"]
 SWEEPS = 203  # no whole number of spans: the rows at the end are not in the checkpoint
 RUN = ["anneal", *TUBE, "--seed", "3", "--sweeps", str(SWEEPS)]
-GRID = ["sweep", *TUBE, "--seed", "3", "4", "--sweeps", "2"]
+GRID = ["grid", *TUBE, "--seed", "3", "4", "--sweeps", "2"]
 COMPARED = ("initial_backbones.csv", "sweeps.csv", "backbones.csv", "cells.csv")
 SHARES = {"whole": {"checkpoint.npz": 4.0, "sweeps.csv": 3.0}}  # of the flips; the others have 1
 SHARES["killed"] = {"checkpoint.npz": 4.0, "sweeps.csv": 0.4}  # rows past the checkpoint are played again

@@ -17,6 +17,7 @@ import numpy as np
 
 import jaxtissue as jt
 from jaxtissue.dynamics.annealer import SPAN
+from jaxtissue.measurement.quadrature import as_resolution
 
 WARM_UP = 2 * SPAN  # sweeps before those that are timed: in the first, lists are renewed more often
 FEW = 5000  # cells; of fewer more tissues are annealed, as many moves in all
@@ -26,7 +27,7 @@ def run(cells: int, sweeps: int, resolution: str) -> dict[str, Any]:
     """Anneal one tube of `cells` / 5 length; memory counted from before the tissue is made."""
     jt.use_cores(1)
     tube = jt.Tube(cells / 5, 1.0, 10.0)
-    model, size = jt.tube_model(tube, cells), jt.as_resolution(resolution)
+    model, size = jt.tube_model(tube, cells), as_resolution(resolution)
     before, begin, first, timed = common.peak_memory_mb(), time.perf_counter(), None, []
     records: list[jt.SweepRecord] = []
     for seed in range(max(1, FEW // cells)):

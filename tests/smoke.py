@@ -45,11 +45,11 @@ def tables(folder: Path) -> Iterator[Path]:
             sys.exit(f"a resumed run in {precision} ends elsewhere than one that was never stopped")
         run("measure", whole / "initial_backbones.csv", *TUBE, "--out", sizes, *more)
         yield from (*sorted(whole.glob("*.csv")), *sorted(sizes.glob("*.csv")))
-    errors, grid = folder / "compare", folder / "sweep"
+    errors, grid = folder / "compare", folder / "grid"
     run("compare", folder / "x64" / "anneal" / "initial_backbones.csv", *TUBE, "--x64", "--out", errors)
     yield errors / "compare.csv"
     axes = ("--ratio", 1.5, 3, "--basal-radius", 4)
-    run("sweep", "--length", 12, *axes, "--cells", 24, "--sweeps", 5, "--x64", "--out", grid)
+    run("grid", "--length", 12, *axes, "--cells", 24, "--sweeps", 5, "--x64", "--out", grid)
     yield grid / "table.csv"
 
 

@@ -52,7 +52,7 @@ COUNTED = {
 MEANS = [
     *("neighbors", "apical_basal_neighbors", "apical_neighbors", "basal_neighbors", "internal_neighbors"),
     *("apical_degree", "basal_degree", "transitions", "transitions_max", "scutoid_fraction"),
-    *("internal_fraction", "ring_fraction", "detached_fraction", "degree_residual"),
+    *("internal_fraction", "ring_fraction", "detached_fraction", "identity_residual"),
 ]
 GOOD = "axial,angle\n1,0\n5,2\n9,4\n"
 

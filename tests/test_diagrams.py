@@ -82,8 +82,8 @@ def test_lists_kept_lack_nobody_where_many_bound_a_cell() -> None:
     place = np.concatenate([ring, lone]).astype(np.float32)
     measurer = CellMeasurer(TUBE, Resolution(3, 3))
     found = measurer.measure(place)
-    assert find_defect(place, TUBE, measurer.sides) < TILES
-    assert measurer.sides.shape[2] == 2 * CANDIDATES  # each of the ring and some more: few shapes
+    assert find_defect(place, TUBE, measurer.neighbors.candidates) < TILES
+    assert measurer.neighbors.candidates.shape[2] == 2 * CANDIDATES  # each of the ring and some more: few shapes
     assert off(found, measure_tissue(place, TUBE, Resolution(3, 3), refine=False)) < 2e-5
 
 

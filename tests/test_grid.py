@@ -1,4 +1,4 @@
-"""`jaxtissue sweep`: rows as runs alone, shared by devices, processes and jobs; resumed, refused, drawn."""
+"""`jaxtissue grid`: rows as runs alone, shared by devices, processes and jobs; resumed, refused, drawn."""
 
 import json
 import os
@@ -40,7 +40,7 @@ def start(folder: Path, *more: str, devices: int = 1) -> subprocess.Popen:
     """The command in a process of its own that sees so many devices."""
     path = os.pathsep.join([str(Path(jaxtissue.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
     return subprocess.Popen(
-        quick.command("sweep", *VALUES, "--out", folder, *more),
+        quick.command("grid", *VALUES, "--out", folder, *more),
         env=os.environ | {"PYTHONPATH": path, "JAX_NUM_CPU_DEVICES": str(devices)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -59,7 +59,7 @@ def finish(*running: subprocess.Popen) -> list[str]:
 def whole(quick_compile, coarse_pictures, tmp_path_factory) -> Path:
     """The folder of a grid that ran through in one process."""
     folder = tmp_path_factory.mktemp("grids") / "whole"
-    assert main(["sweep", *VALUES, "--out", str(folder)]) == 0
+    assert main(["grid", *VALUES, "--out", str(folder)]) == 0
     return folder
 
 
@@ -131,7 +131,7 @@ def test_only_what_is_missing_is_done(whole, tmp_path, monkeypatch, capsys) -> N
         return anneal_batch(rows, *others)
 
     monkeypatch.setattr("jaxtissue.runs.grid_runs.anneal_batch", noted)
-    run = ["sweep", *VALUES, "--out", str(folder)]
+    run = ["grid", *VALUES, "--out", str(folder)]
     assert main([*run, "--part", "2/2"]) == 0
     assert "2 of 4" in capsys.readouterr().out and done == [(2.0, 1), (0.5, 1)]
     assert json.loads((folder / "manifest.json").read_text())["finished"] is None
@@ -159,7 +159,7 @@ def test_a_signal_keeps_the_rows_that_are_done(whole, tmp_path, monkeypatch, cap
             signal.raise_signal(number)
         return advance(*arguments)
 
-    run = ["sweep", *VALUES, "--out", str(folder), "--batch", "2"]
+    run = ["grid", *VALUES, "--out", str(folder), "--batch", "2"]
     with monkeypatch.context() as patch:
         patch.setattr(batches, "advance_together", interrupted)
         assert main(run) == 128 + number
@@ -171,7 +171,7 @@ def test_a_signal_keeps_the_rows_that_are_done(whole, tmp_path, monkeypatch, cap
 
 def test_contacts_can_be_left_out_and_force_begins_anew(tmp_path, capsys) -> None:
     folder = tmp_path / "grid"
-    short = ["sweep", "--length", "12", "--basal-radius", "4", "--apical-radius", "2", "--cells", "24"]
+    short = ["grid", "--length", "12", "--basal-radius", "4", "--apical-radius", "2", "--cells", "24"]
     short += ["--seed", "0", "1", "2", "3", "--sweeps", "1", "--out", str(folder)]  # 4 rows: one program
     assert main([*short, "--no-contacts"]) == 0
     assert "neighbors" not in read_table(folder / "table.csv")[0]
@@ -223,7 +223,7 @@ BAD_ARGUMENTS = [
 def test_bad_input_gets_one_line_and_nothing_is_written(line, named, tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.delenv("SLURM_ARRAY_TASK_ID", raising=False)
     (tmp_path / "good.csv").write_text("axial,angle\n1,0\n")
-    assert main(["sweep", *line.replace("{}", str(tmp_path)).split()]) == 2
+    assert main(["grid", *line.replace("{}", str(tmp_path)).split()]) == 2
     streams = capsys.readouterr()
     assert named in streams.err and streams.err.count("\n") == 1 and streams.out == ""
     assert [path.name for path in tmp_path.rglob("*")] == ["good.csv"]
@@ -237,7 +237,7 @@ def test_a_grid_grows_and_keeps_its_rows(whole, tmp_path, monkeypatch, capsys) -
         return anneal_batch(rows, *others)
 
     monkeypatch.setattr("jaxtissue.runs.grid_runs.anneal_batch", noted)
-    run = ["sweep", *VALUES[:4], "--cells", "24", "--temperature", "0.5", "--sweeps", "2"]
+    run = ["grid", *VALUES[:4], "--cells", "24", "--temperature", "0.5", "--sweeps", "2"]
     run += ["--out", str(folder)]
     assert main([*run, "--ratio", "8", "--seed", "1", "--batch", "4"]) == 0
     more = [*run, "--ratio", "2", "8", "--seed", "0", "1"]
@@ -251,7 +251,7 @@ def test_a_grid_grows_and_keeps_its_rows(whole, tmp_path, monkeypatch, capsys) -
 
 def test_a_part_that_is_under_way_is_refused(whole, tmp_path, capsys) -> None:
     folder = shutil.copytree(whole, tmp_path / "grid")
-    run = ["sweep", *VALUES, "--out", str(folder)]
+    run = ["grid", *VALUES, "--out", str(folder)]
     with together(folder, lambda _: None), alone(folder, ".part-2-of-2.lock"):
         assert main([*run, "--part", "2/2"]) == 2 and "this part of the grid is" in capsys.readouterr().err
         assert main([*run, "--part", "1/2"]) == 0
@@ -268,13 +268,13 @@ def test_a_flipped_bit_in_a_grid_is_told_in_one_line(whole, tmp_path, capsys) ->
             damaged = bytearray(kept)
             damaged[byte] ^= 1 << bit
             path.write_bytes(damaged)
-            assert main(["sweep", *VALUES, "--out", str(folder)]) == 2
+            assert main(["grid", *VALUES, "--out", str(folder)]) == 2
             error = capsys.readouterr().err
             assert "damaged" in error and path.name in error and error.count("\n") == 1
         path.write_bytes(kept)
     (folder / "rows").rename(tmp_path / "rows")
     (folder / "rows").symlink_to(tmp_path / "rows")
-    assert main(["sweep", *VALUES, "--out", str(folder)]) == 2
+    assert main(["grid", *VALUES, "--out", str(folder)]) == 2
     assert "rows is a symbolic link" in capsys.readouterr().err
 
 
@@ -283,7 +283,7 @@ def test_a_damaged_manifest_is_told(tmp_path, capsys) -> None:
     folder.mkdir()
     for text in ("{", "[]", '{"arguments": 3}', "{}"):
         (folder / "manifest.json").write_text(text)
-        assert main(["sweep", "--out", str(folder)]) == 2
+        assert main(["grid", "--out", str(folder)]) == 2
         assert "damaged" in capsys.readouterr().err
 
 

@@ -12,6 +12,9 @@ import pytest
 
 import jaxtissue as jt
 from jaxtissue.geometry.positions import as_positions
+from jaxtissue.measurement.quadrature import as_resolution, plan_lines
+from jaxtissue.topology.edges import trace_edges
+from jaxtissue.topology.transitions import find_forms
 
 TUBE = jt.Tube(20, 1, 3)
 WHOLE = [[1, 0], [3, 2], [7, 4], [12, 1], [18, 5], [5, 3]]
@@ -89,8 +92,8 @@ def test_all_functions_take_whole_numbers_and_frames():
     functions += [lambda place, tube: jt.exact_cells(place, tube, 10).volume]
     functions += [lambda place, tube: jt.find_contacts(place, tube).area]
     functions += [lambda place, tube: jt.find_transitions(place, tube).points]
-    functions += [lambda place, tube: jt.find_forms(place, tube).pieces]
-    functions += [lambda place, tube: jt.trace_edges(place, tube).vertices]
+    functions += [lambda place, tube: find_forms(place, tube).pieces]
+    functions += [lambda place, tube: trace_edges(place, tube).vertices]
     functions += [lambda place, tube: jt.find_connectivity(place, tube).contacts.area]
     for function in functions:
         expected = function(FLOATS, TUBE)
@@ -132,8 +135,8 @@ TAKERS = {
     "find_connectivity": lambda place: jt.find_connectivity(place, TUBE),
     "find_contacts": lambda place: jt.find_contacts(place, TUBE),
     "find_transitions": lambda place: jt.find_transitions(place, TUBE),
-    "find_forms": lambda place: jt.find_forms(place, TUBE),
-    "trace_edges": lambda place: jt.trace_edges(place, TUBE),
+    "find_forms": lambda place: find_forms(place, TUBE),
+    "trace_edges": lambda place: trace_edges(place, TUBE),
     "bound_ratios": lambda place: jt.bound_ratios(place, TUBE, jt.find_connectivity(FLOATS, TUBE)),
     "exact_cells": lambda place: jt.exact_cells(place, TUBE, 2),
     "separation": lambda place: jt.separation(place, TUBE),
@@ -266,7 +269,7 @@ def test_sizes_that_64_bits_can_measure(x64):
 
 @pytest.mark.parametrize("given", ["8x12", (8, 12), jt.Resolution(8, 12), [8, 12.0], (np.int64(8), 12)])
 def test_resolutions_are_given_as_any_of_these(given):
-    assert jt.as_resolution(given) == jt.Resolution(8, 12)
+    assert as_resolution(given) == jt.Resolution(8, 12)
 
 
 def test_presets_are_taken_by_name():
@@ -278,11 +281,11 @@ def test_presets_are_taken_by_name():
     assert jt.CellMeasurer(tube, "fine").resolution == jt.PRESETS["fine"]
     run = jt.Annealer(jt.tube_model(tube, 6), "standard", "mh", 0, jt.constant_schedule(1.0, 1))
     assert run.resolution == jt.PRESETS["standard"]
-    assert jt.plan_lines(tube, 6, "8x12").half == jt.plan_lines(tube, 6, jt.Resolution(8, 12)).half
+    assert plan_lines(tube, 6, "8x12").half == plan_lines(tube, 6, jt.Resolution(8, 12)).half
 
 
 @pytest.mark.parametrize("bad", ["sharp", "8x", "8x12x2", "", (0, 4), (4.5, 4), (4, NAN), None, 7, (65, 4)])
 def test_other_resolutions_are_refused(bad):
-    for take in (jt.as_resolution, lambda given: jt.measure_tissue(FLOATS, TUBE, given)):
+    for take in (as_resolution, lambda given: jt.measure_tissue(FLOATS, TUBE, given)):
         with pytest.raises(ValueError, match="unknown resolution"):
             take(bad)

@@ -8,6 +8,8 @@ import pytest
 
 import jaxtissue as jt
 from jaxtissue.compilation.modes import random_key
+from jaxtissue.geometry.backbones import distance_between_segments, distance_to_segment
+from jaxtissue.neighbors.search import check_angles, find_candidates, tiling_defect
 from jaxtissue.runs import plots
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
@@ -30,7 +32,7 @@ def results() -> dict[str, np.ndarray]:
     backbones, voxels = tube.embed(place), jt.cylindrical_voxels(tube, (4, 3, 8))
     ends = np.asarray(backbones.apical)[:4]
     labels, distances = jt.nearest_backbones(voxels[0], backbones)
-    sides = jt.find_candidates(place, tube)
+    sides = find_candidates(place, tube)
     cells = jt.measure_tissue(place, tube, draft)
     model = jt.tube_model(tube, CELLS)
     annealer = jt.Annealer(model, draft, "is-mh", 1, jt.constant_schedule(2.0, 1))
@@ -40,7 +42,7 @@ def results() -> dict[str, np.ndarray]:
         "positions": place,
         "volume": cells.volume,
         "lateral area": cells.lateral_area,
-        "defect": jt.tiling_defect(place, tube, sides, jt.check_angles(tube, CELLS)),
+        "defect": tiling_defect(place, tube, sides, check_angles(tube, CELLS)),
         "energy": model.cell_energy(cells, model),
         "record": annealer.record(state).energy,
         "annealed": annealer.advance(state)[0].positions,
@@ -52,8 +54,8 @@ def results() -> dict[str, np.ndarray]:
         "labeled": jt.label_volumes(np.asarray(labels)[:, 0], voxels[1], CELLS),
         "image": jt.label_image(place, tube, 1.0),
         "reflected": tube.reflect(place + 20),
-        "to segment": jt.distance_to_segment(*ends[:3]),
-        "between segments": jt.distance_between_segments(*ends),
+        "to segment": distance_to_segment(*ends[:3]),
+        "between segments": distance_between_segments(*ends),
     }
     return {name: np.asarray(value) for name, value in found.items()}
 

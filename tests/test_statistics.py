@@ -88,7 +88,7 @@ def test_a_wheel_is_summarized_as_counted_by_hand():
             "internal_fraction": 2 / 6,
             "ring_fraction": 1 / 6,
             "detached_fraction": 1 / 6,
-            "degree_residual": (18 - 14 - 6) / 6,
+            "identity_residual": (18 - 14 - 6) / 6,
         },
         rel=1e-12,
     )
@@ -144,7 +144,7 @@ def test_a_staggered_lattice_is_made_of_hexagons():
         # an end cell meets two of four sides and two of six; of three inner rows one meets no end cells
         np.testing.assert_allclose(table["neighbor_sides"], [5, (24 * 32 + 12 * 36) / 216])
     summary = summarize_connectivity(lattice, inner_only=True)
-    assert (summary["neighbors"], summary["apical_degree"], summary["degree_residual"]) == (6, 6, 0)
+    assert (summary["neighbors"], summary["apical_degree"], summary["identity_residual"]) == (6, 6, 0)
 
 
 @pytest.mark.parametrize("name", ["random", "annealed"])
@@ -152,7 +152,7 @@ def test_sums_and_identities(tissues, name):
     _, tissue = tissues[name]
     summary, contacts = summarize_connectivity(tissue), tissue.contacts
     twice = -2 * (contacts.pieces - 1).sum() / CELLS  # pairs that touch in two places
-    assert summary["degree_residual"] == pytest.approx(twice, abs=0.02)
+    assert summary["identity_residual"] == pytest.approx(twice, abs=0.02)
     kinds = ("apical_basal", "apical", "basal", "internal")
     parts = [summary[f"{kind}_neighbors"] for kind in kinds]
     assert summary["neighbors"] == pytest.approx(sum(parts)) and all(0 < part < 6 for part in parts)

@@ -1,6 +1,7 @@
 """The energy of a tissue: a sum of per-cell terms (paper, section 3.1)."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -8,8 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float, Int
 
+from jaxtissue.compilation.fusion import take_rows
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.positions import X64
 from jaxtissue.geometry.tube import Tube
@@ -42,8 +45,9 @@ class Model(eqx.Module):
 
     `modulus` is K, `tension` Lambda, `mean_volume` Vbar; `cell_energy(cells, model)` gives E_i of each cell
     and may be any jittable function of `CellGeometry.volume` and `lateral_area`, of which each cell's energy
-    depends on its own alone. The constants are one number each, the same for all cells. All but the function
-    are traced.
+    depends on its own alone. The constants are one number each, the same for all cells; what differs from cell
+    to cell is in `parameters`, arrays whose first axis is the cells, [n, ...]. Where the energy of some cells is
+    asked for, `model.parameters` holds the rows of these. All but the function are traced.
     """
 
     tube: Tube
@@ -51,6 +55,14 @@ class Model(eqx.Module):
     modulus: float | Array = 1.0
     tension: float | Array = 0.4
     cell_energy: CellEnergy = eqx.field(static=True, default=epithelial_energy)
+    parameters: Any = None  # a pytree of arrays [n, ...]
+
+    def of(self, cells: Int[Array | np.ndarray, "cells"]) -> "Model":
+        """The model of some cells: with the rows of the parameters that are theirs."""
+        if self.parameters is None:
+            return self
+        rows = jax.tree.map(lambda table: take_rows(table, jnp.asarray(cells)), self.parameters)
+        return replace(self, parameters=rows)
 
 
 def tube_model(
@@ -60,6 +72,7 @@ def tube_model(
     tension: float = 0.4,
     cell_energy: CellEnergy = epithelial_energy,
     relative: bool = False,
+    parameters: Any = None,
 ) -> Model:
     """The model of `cells` cells that fill `tube`: Vbar = |D| / n. The paper's constants are the defaults.
 
@@ -67,7 +80,18 @@ def tube_model(
     tissue has the same energy in every unit of length; those of an energy of one's own are K / Vbar^2 and
     Lambda / Vbar^(2/3).
 
-    Raises `ValueError` for a modulus or tension that is no number, negative or not finite, and for no cells.
+    `parameters` are what an energy of one's own knows of each cell, such as target volumes: an array or a
+    dictionary, tuple or other tree of arrays with one row for each cell.
+
+    >>> def energy(cells, model):
+    ...     return (cells.volume - model.parameters) ** 2
+    >>> tube = Tube(10, 1, 2)
+    >>> model = tube_model(tube, 3, cell_energy=energy, parameters=jnp.array([1.0, 2.0, 3.0]))
+    >>> energy(CellGeometry(jnp.ones(2), jnp.ones(2)), model.of(jnp.array([2, 0]))).tolist()
+    [4.0, 0.0]
+
+    Raises `ValueError` for a modulus or tension that is no number, negative or not finite, for no cells, and for
+    parameters that have not one row for each cell or are not finite numbers.
     """
     for name, value in (("modulus", modulus), ("tension", tension)):
         _check_constant(name, value)
@@ -75,10 +99,31 @@ def tube_model(
             raise ValueError(f"{name}={value} is not a finite number of at least 0; give one")
     if cells < 1:
         raise ValueError(f"cells={cells}: a tissue has at least one cell")
+    check_parameters(parameters, cells)
     mean = tube.volume / cells
-    if relative:
-        return Model(tube, mean, modulus / mean**2, tension / mean ** (2 / 3), cell_energy)
-    return Model(tube, mean, modulus, tension, cell_energy)
+    units = (mean**2, mean ** (2 / 3)) if relative else (1, 1)
+    return Model(tube, mean, modulus / units[0], tension / units[1], cell_energy, parameters)
+
+
+def check_parameters(parameters: Any, cells: int) -> None:
+    """Raise `ValueError` for parameters that have not one row of finite numbers for each of so many cells."""
+    for path, table in jax.tree_util.tree_leaves_with_path(parameters):
+        name = f"parameters{jax.tree_util.keystr(path)}"
+        if np.ndim(table) == 0 or len(table) != cells:
+            raise ValueError(f"{name} has the shape {np.shape(table)}; give one row for each of {cells} cells")
+        if not isinstance(table, Tracer) and not np.isfinite(np.asarray(table, float)).all():
+            raise ValueError(f"{name} holds what is not a finite number; give one for each cell")
+
+
+def in_precision(model: Model, dtype: DTypeLike) -> Model:
+    """The model with its numbers as NumPy arrays in a precision; whole numbers among the parameters stay whole."""
+
+    def convert(leaf: Any) -> np.ndarray:
+        return np.asarray(leaf, dtype if np.asarray(leaf).dtype.kind == "f" else None)
+
+    constants = replace(model, parameters=None)
+    converted = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), constants)
+    return replace(converted, parameters=jax.tree.map(convert, model.parameters))
 
 
 def cell_energies(cells: CellGeometry, model: Model) -> Float[Array, "cells"]:
@@ -109,11 +154,14 @@ def check_energy(model: Model) -> None:
         _check_constant(name, getattr(model, name))
     dtype = np.dtype(jnp.result_type(float))
     with np.errstate(over="ignore"):
-        model = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), model)
+        model = in_precision(model, dtype)
         volume: Any = np.array([0.5, 1.001, 1.5, 2], dtype) * model.mean_volume
         area: Any = np.array([5, 6, 7, 8], dtype) * model.mean_volume ** dtype.type(2 / 3)
+    rows = np.arange(4) % min(map(len, jax.tree.leaves(model.parameters)), default=4)
     try:
-        energy, part = (tissue_energies(CellGeometry(volume[:count], area[:count]), model) for count in (4, 2))
+        energy, part = (
+            tissue_energies(CellGeometry(volume[:count], area[:count]), model.of(rows[:count])) for count in (4, 2)
+        )
     except (TypeError, IndexError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"{_name(model)} fails ({reason}); give a function of each cell alone") from error

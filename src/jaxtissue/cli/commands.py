@@ -43,15 +43,19 @@ from jaxtissue.system.streams import open_streams
 from jaxtissue.topology.statistics import find_connectivity
 
 CONFIG: Any = jax.config  # its settings are not declared
-EXTRAS = ("tifffile", "skimage", "pyevtk", "pandas", "pyvista", "trimesh")
+EXTRAS = ("pandas",)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 2 bad input, 128 + signal stopped, 1 other."""
     open_streams()
     try:
-        arguments = vars(command_parser().parse_args(argv))
-        work = {"anneal": anneal, "sweep": sweep, "measure": measure, "compare": compare}
+        parser = command_parser()
+        arguments = vars(parser.parse_args(argv))
+        if arguments["command"] is None:
+            parser.print_help()
+            return 0
+        work = {"anneal": anneal, "grid": grid, "measure": measure, "compare": compare}
         work |= {"reproduce": reproduce_paper, "info": info}
         warnings.formatwarning = lambda message, *_, **__: f"jaxtissue: warning: {message}\n"
         if CONFIG.jax_enable_x64 and not arguments.get("resume"):
@@ -96,7 +100,7 @@ def anneal(arguments: dict[str, Any]) -> int:
     return run_annealing(folder, settings, force)
 
 
-def sweep(arguments: dict[str, Any]) -> int:
+def grid(arguments: dict[str, Any]) -> int:
     """Anneal a grid of tissues into one table, or what is missing of it."""
     from jaxtissue.runs.grid_runs import check_grid_folder, run_grid
 
@@ -106,13 +110,13 @@ def sweep(arguments: dict[str, Any]) -> int:
     _refuse_both(arguments, "minimum_contact")
     axes = {name: arguments.pop(name) for name in AXES if name in arguments}
     _need_relative(arguments, axes)
-    grid = Grid(axes, arguments)
-    if grid.shared.get("final_temperature") and min(axes.get("temperature", [1.0])) == 0:
+    runs = Grid(axes, arguments)
+    if runs.shared.get("final_temperature") and min(axes.get("temperature", [1.0])) == 0:
         raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
-    check_grid_folder(folder, grid, force)
+    check_grid_folder(folder, runs, force)
     part = _find_part(*places)
-    use_cores(min(len(part.share(grid.rows)), batch or len(grid.rows)))
-    return run_grid(folder, grid, part, force, batch)
+    use_cores(min(len(part.share(runs.rows)), batch or len(runs.rows)))
+    return run_grid(folder, runs, part, force, batch)
 
 
 def _find_part(

@@ -3,6 +3,7 @@
 import argparse
 import math
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -17,7 +18,7 @@ RELATIVE = (
 TUBE_SIZES = ("length", "apical_radius", "basal_radius")
 _HELP = {
     "anneal": "anneal a tissue into a folder, or take up a run there",
-    "sweep": "anneal a grid of tissues into one table, or what is missing of it",
+    "grid": "anneal a grid of tissues into one table, or what is missing of it",
     "measure": "measure the cells of given backbones",
     "compare": "show the errors of each preset against the exact path",
     "reproduce": "make the paper's table and figures, and a report that sets its numbers beside ours",
@@ -31,7 +32,8 @@ def command_parser() -> argparse.ArgumentParser:
     `anneal` leaves out the settings that are not given, since a resumed run has its own.
     """
     parser = _Parser(prog="jaxtissue", description="3D epithelial tubes: cells as Voronoi cells of backbones")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    parser.add_argument("--version", action="version", version=f"jaxtissue {version('jaxtissue')}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     options = {
         name: commands.add_parser(name, help=text, description=text, allow_abbrev=False) for name, text in _HELP.items()
     }
@@ -46,7 +48,7 @@ def command_parser() -> argparse.ArgumentParser:
         for size in TUBE_SIZES:
             command.add_argument(_option(size), type=_number(0, above=True), required=True, metavar="X")
         _add_folder(command, required=name == "measure")
-    _add_sweep(options["sweep"])
+    _add_grid(options["grid"])
     _add_measure(options["measure"])
     _add_reproduce(options["reproduce"])
     options["compare"].add_argument(
@@ -86,7 +88,7 @@ def _add_anneal(command: argparse.ArgumentParser) -> None:
     _add(start, "cells", "number of random cells to start from", Settings.cells, type=_count(1), metavar="N")
 
 
-def _add_sweep(command: argparse.ArgumentParser) -> None:
+def _add_grid(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to make or go on with")
     command.add_argument("--force", action="store_true", help="begin anew what is there already")
     positive, size = _number(0, above=True), _number(0)

@@ -25,7 +25,7 @@ from jaxtissue.dynamics.sweep_log import (
     shortlist_neighbors,
     sweep_record,
 )
-from jaxtissue.energy import Model, check_energy, require_finite
+from jaxtissue.energy import Model, check_energy, check_parameters, in_precision, require_finite
 from jaxtissue.geometry.positions import as_positions, check_count
 from jaxtissue.measurement.axial_lines import BackboneCoords
 from jaxtissue.measurement.cells import CellGeometry
@@ -82,7 +82,7 @@ class Annealer:
             raise ValueError("temperatures must be finite and at least 0; change the schedule")
         check_energy(model)
         dtype = jnp.result_type(float)
-        self.model = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), model)
+        self.model = in_precision(model, dtype)
         self.resolution, self.algorithm, self.conflicts = as_resolution(resolution), algorithm, conflicts
         self.seed, self.temperatures = seed, temperatures
         self._exactness = EXACT * float(jnp.finfo(dtype).eps) * float(self.model.mean_volume)
@@ -103,6 +103,7 @@ class Annealer:
         """
         own = np.asarray(as_positions(positions, self.model.tube))
         check_count(len(own), self.model.tube, float(self.model.mean_volume))
+        check_parameters(self.model.parameters, len(own))
         warn_of_coarse_places(self.model, len(own), own.dtype)
         return AnnealState(0, own)
 

@@ -242,6 +242,7 @@ def local_differences(
     changes: Changes, real: Bool[Array, "items"], state: TissueState, model: Model, width: int
 ) -> Float[Array, "width"]:
     """Energy difference of each move: the sum over the cells it changes."""
+    model = model.of(changes.cell)
     new = cell_energies(CellGeometry(changes.volume, changes.lateral_area), model)
     before = (take_rows(size, changes.cell) for size in (state.volume, state.lateral_area))
     old = cell_energies(CellGeometry(*before), model)

@@ -67,5 +67,8 @@ def fit_play(arguments: tuple, sizes: tuple[int, ...]) -> tuple:
 
 
 def energy_terms(cells: CellGeometry, model: Model) -> tuple[Array, Array, Array]:
-    """Each cell's energy, and of it the paper's two terms."""
+    """Each cell's energy after each sweep, [sweeps, n], and of it the paper's two terms."""
+    if model.parameters is not None:  # of the cells, the same after every sweep
+        energy = jax.vmap(cell_energies, (0, None))(cells, model)
+        return energy, volume_elasticity(cells, model), lateral_tension(cells, model)
     return cell_energies(cells, model), volume_elasticity(cells, model), lateral_tension(cells, model)

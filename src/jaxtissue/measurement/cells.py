@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.compilation.fusion import SCATTER, fusion_barrier, take_rows
@@ -21,6 +22,7 @@ from jaxtissue.measurement.axial_lines import (
 )
 from jaxtissue.measurement.quadrature import Lines
 from jaxtissue.measurement.walls import BOUNDARY, Walls, bounding_neighbor, strips, walls
+from jaxtissue.system.frames import as_frame
 
 BLOCK = 48  # cells measured at once, whole vectors of 16; of 64 or 128 rows evict each other from the cache
 
@@ -41,6 +43,33 @@ class CellGeometry(eqx.Module):
     volume_error: Float[Array, "cells"] | None = None
     lateral_area_error: Float[Array, "cells"] | None = None
     tiling_defect: Float[Array, ""] | None = None
+
+    def to_pandas(self) -> Any:
+        """The sizes as a pandas `DataFrame`, a row for each cell. Needs pandas."""
+        return as_frame(self._columns())
+
+    def _columns(self) -> dict[str, np.ndarray]:
+        """What was measured of each cell."""
+        columns = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "tiling_defect"}
+        return {name: np.asarray(column) for name, column in columns.items() if column is not None}
+
+    def __repr__(self) -> str:
+        if isinstance(self.volume, Tracer | jax.ShapeDtypeStruct) or not hasattr(self.volume, "dtype"):
+            return eqx.tree_pformat(self)
+        columns = self._columns()
+        told = [f"{name} {column.mean():.4g} +- {column.std():.2g}" for name, column in columns.items() if column.size]
+        return f"CellGeometry({np.size(self.volume)} cells: {', '.join(told[:2])})"
+
+    def _repr_html_(self) -> str:
+        head = "<tr><th></th><th>mean</th><th>sd</th><th>least</th><th>largest</th></tr>"
+        rows = [
+            f"<tr><th>{name.replace('_', ' ')}</th>"
+            + "".join(f"<td>{value:.4g}</td>" for value in (column.mean(), column.std(), column.min(), column.max()))
+            + "</tr>"
+            for name, column in self._columns().items()
+            if column.size and column.dtype != bool
+        ]
+        return f"<table><caption>{np.size(self.volume)} cells</caption>{head}{''.join(rows)}</table>"
 
 
 class Window(NamedTuple):

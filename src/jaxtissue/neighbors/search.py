@@ -133,7 +133,7 @@ def lowest_columns(scores: Float[np.ndarray, "... columns"], count: int) -> Int[
     Score and column are coded as one integer, since a partition of those is fast. So scores are compared to
     as many bits less than single precision has as number the columns; of equals the first is the lower.
 
-    >>> least(np.array([[3.0, 1.0, np.inf, 0.0, 3.0]]), 3)
+    >>> lowest_columns(np.array([[3.0, 1.0, np.inf, 0.0, 3.0]]), 3)
     array([[3, 1, 0]], dtype=int32)
     """
     count = min(count, scores.shape[-1])
@@ -179,7 +179,7 @@ def contact_graph(
 def symmetric_graph(first: Int[np.ndarray, "pairs"], second: Int[np.ndarray, "pairs"], n: int) -> sparse.csr_array:
     """Pairs of `n` cells as a symmetric matrix of bools, [n, n], without diagonal.
 
-    >>> linked(np.array([0, 2, 2]), np.array([1, 0, 2]), 3).toarray().astype(int)
+    >>> symmetric_graph(np.array([0, 2, 2]), np.array([1, 0, 2]), 3).toarray().astype(int)
     array([[0, 1, 1],
            [1, 0, 0],
            [1, 0, 0]])

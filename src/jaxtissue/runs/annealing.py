@@ -14,20 +14,20 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from jaxtissue.runs import storage
 from jaxtissue.dynamics.annealer import SPAN
+from jaxtissue.dynamics.schedules import has_stalled
+from jaxtissue.dynamics.sweep_log import AcceptanceWatch
+from jaxtissue.runs import storage
+from jaxtissue.runs.reports import contact_summary, tabulate_cells, write_contacts
+from jaxtissue.runs.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
+from jaxtissue.runs.settings import Settings, now, other_bits
 from jaxtissue.system.files import (
     check_folder,
     open_own,
 )
 from jaxtissue.system.locks import alone
-from jaxtissue.dynamics.sweep_log import AcceptanceWatch
-from jaxtissue.runs.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
-from jaxtissue.dynamics.schedules import has_stalled
-from jaxtissue.runs.settings import Settings, now, other_bits
-from jaxtissue.topology.statistics import find_connectivity
 from jaxtissue.system.signals import Stop
-from jaxtissue.runs.reports import contact_summary, tabulate_cells, write_contacts
+from jaxtissue.topology.statistics import find_connectivity
 
 KEPT_SWEEPS = (0, 1, 5, 25, 50, 100, 250, 500, 1000, 2500, 5000, 10_000)  # drawn in the figures
 CHECKPOINT_SECONDS = 2.0  # with sweeps shorter than this no more than 4 s are ever lost

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtissue.geometry.positions import Rows, as_positions
-from jaxtissue.runs.names import from_field
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.runs.names import from_field
 
 SEPARATORS = ",;\t"
 LABELS = ("name", "cell", "label", "id", "")  # columns that may name cells, in this order
@@ -87,9 +87,7 @@ def _read_table(path: Path) -> _Table:
     records = list(_records(path, physical, separator))
     header = [field.strip() for field in records[0][1]]
     brackets = [_UNIT.fullmatch(field) for field in header]
-    names = [
-        (unit[1] if unit else field).strip().lower() for unit, field in zip(brackets, header, strict=True)
-    ]
+    names = [(unit[1] if unit else field).strip().lower() for unit, field in zip(brackets, header, strict=True)]
     units = [unit[2].lower() if unit else "" for unit in brackets]
     for name in ("axial", "angle"):
         if name not in names:

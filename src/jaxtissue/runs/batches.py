@@ -7,8 +7,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxtissue.dynamics.annealer import Annealer, AnnealState, advance_together, record_together
 from jaxtissue.compilation.modes import random_key
+from jaxtissue.dynamics.annealer import Annealer, AnnealState, advance_together, record_together
 from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.runs.settings import Settings
 from jaxtissue.topology.statistics import find_connectivity, summarize_connectivity

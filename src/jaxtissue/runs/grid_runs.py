@@ -12,9 +12,14 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from jaxtissue.dynamics.memory import tell_memory
+from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.runs import storage
 from jaxtissue.runs.batches import Outcome, anneal_batch, batches, summarize, usual_batch
 from jaxtissue.runs.distributed import Part
+from jaxtissue.runs.grids import Grid, describe
+from jaxtissue.runs.plots import plot_grid, save_figure
+from jaxtissue.runs.settings import FORMAT, Settings, now, other_bits, provenance
 from jaxtissue.system.files import (
     check_files,
     check_folder,
@@ -25,12 +30,7 @@ from jaxtissue.system.files import (
     remove_leftovers,
     write_sealed,
 )
-from jaxtissue.runs.grids import Grid, describe
 from jaxtissue.system.locks import alone, together
-from jaxtissue.dynamics.memory import tell_memory
-from jaxtissue.runs.plots import plot_grid, save_figure
-from jaxtissue.dynamics.sweep_log import SweepRecord
-from jaxtissue.runs.settings import FORMAT, Settings, now, other_bits, provenance
 from jaxtissue.system.signals import Stop
 
 FILES = ("manifest.json", "table.csv", "energy.png")
@@ -243,8 +243,7 @@ def _gather(run: GridRun) -> dict[str, np.ndarray]:
     names = list(dict.fromkeys(name for row in rows for name in row))
     columns = {name: [row.get(name) for row in rows] for name in names}
     table = {
-        name: np.array([math.nan if value is None else value for value in values])
-        for name, values in columns.items()
+        name: np.array([math.nan if value is None else value for value in values]) for name, values in columns.items()
     }
     storage.write_table(run.folder / "table.csv", table)
     return table

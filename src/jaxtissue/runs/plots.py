@@ -18,10 +18,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from jaxtissue.system.files import replacing
-from jaxtissue.diagram.point_location import label_points
 from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.diagram.point_location import label_points
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.system.files import replacing
 
 # Okabe and Ito's colors, which color-blind readers tell apart.
 _BLUE, _ORANGE, _GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -159,9 +159,7 @@ def plot_surfaces(tube: Tube, tissues: Sequence[Tissue]) -> tuple[Figure, np.nda
     for panel in axes[1]:
         panel.set_xlabel("axial position (tube units)")
     dot = Line2D([], [], linestyle="", marker=".", color="black", label="end of a backbone")
-    figure.legend(
-        handles=[dot, Line2D([], [], color=_WALL, label="wall")], loc="outside lower center", ncols=2
-    )
+    figure.legend(handles=[dot, Line2D([], [], color=_WALL, label="wall")], loc="outside lower center", ncols=2)
     figure.colorbar(shades, ax=axes, label="cell volume / mean volume", extend="max", shrink=0.8)
     return figure, axes
 

@@ -13,17 +13,17 @@ import networkx as nx
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from jaxtissue.runs import storage
-from jaxtissue.tissue.measurer import as_limits, doubts, measure_tissue
-from jaxtissue.energy import Model, require_finite, tissue_energies
 from jaxtissue.diagram.exact import exact_cells
-from jaxtissue.system.files import replacing
-from jaxtissue.measurement.quadrature import PRESETS, Resolution
-from jaxtissue.runs.names import printable
-from jaxtissue.tissue.refinement import plain
 from jaxtissue.diagram.spread import covering_radius, separation
-from jaxtissue.topology.statistics import Connectivity, summarize_connectivity, tabulate_connectivity, tissue_graph
+from jaxtissue.energy import Model, require_finite, tissue_energies
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.quadrature import PRESETS, Resolution
+from jaxtissue.runs import storage
+from jaxtissue.runs.names import printable
+from jaxtissue.system.files import replacing
+from jaxtissue.tissue.measurer import as_limits, doubts, measure_tissue
+from jaxtissue.tissue.refinement import plain
+from jaxtissue.topology.statistics import Connectivity, summarize_connectivity, tabulate_connectivity, tissue_graph
 
 Result = TypeVar("Result")
 _SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimeter", "basal_perimeter")
@@ -72,7 +72,7 @@ def tabulate_cells(
         "separation": apart,
         "covering_radius": covering,
         "tightness": covering / apart,
-        "tiling_defect": float(defect),
+        "tiling_defect": float(np.asarray(defect)),
     }
     # as fractions of the mean cell
     for size, error in zip(_SIZES, _ERRORS, strict=False):
@@ -92,9 +92,7 @@ def contact_summary(connectivity: Connectivity) -> dict[str, Any]:
     return summary | {"open_ends": connectivity.transitions.open_ends}
 
 
-def write_contacts(
-    folder: Path, connectivity: Connectivity, columns: Mapping[str, np.ndarray] | None = None
-) -> None:
+def write_contacts(folder: Path, connectivity: Connectivity, columns: Mapping[str, np.ndarray] | None = None) -> None:
     """Write contacts.csv and transitions.csv; with the columns of the cells also graph.graphml."""
     contacts, transitions = connectivity.contacts, connectivity.transitions
     first, second = contacts.pairs.T

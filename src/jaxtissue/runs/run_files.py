@@ -13,8 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from jaxtissue.runs import storage
+from jaxtissue.compilation.modes import random_key
 from jaxtissue.dynamics.annealer import Annealer, AnnealState, renews_at
+from jaxtissue.dynamics.memory import tell_memory
+from jaxtissue.runs import storage
+from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
+from jaxtissue.runs.reports import CONTACT_TABLES
+from jaxtissue.runs.settings import FORMAT, Settings, provenance, saved_settings
 from jaxtissue.system.files import (
     check_files,
     checksum,
@@ -23,11 +28,6 @@ from jaxtissue.system.files import (
     read_sealed,
     write_sealed,
 )
-from jaxtissue.dynamics.memory import tell_memory
-from jaxtissue.compilation.modes import random_key
-from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
-from jaxtissue.runs.settings import FORMAT, Settings, provenance, saved_settings
-from jaxtissue.runs.reports import CONTACT_TABLES
 
 FIGURES = ("energy.png", "volumes.png", "surfaces.png")
 INITIAL = "initial_backbones.csv"

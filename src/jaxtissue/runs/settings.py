@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxtissue.dynamics.annealer import Annealer
-from jaxtissue.energy import tube_model
 from jaxtissue.compilation.fusion import options
+from jaxtissue.dynamics.annealer import Annealer
 from jaxtissue.dynamics.schedules import constant_schedule, geometric_schedule
+from jaxtissue.energy import tube_model
 from jaxtissue.geometry.tube import Tube
 
 FORMAT = 1  # of what a folder keeps; raised when other code would play other sweeps, or read it otherwise

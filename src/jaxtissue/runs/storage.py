@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
 from jaxtissue.dynamics.annealer import AnnealState
-from jaxtissue.system.files import load_arrays, open_own, replacing, save_arrays
-from jaxtissue.runs.names import to_field
 from jaxtissue.dynamics.sweep_log import SweepRecord
+from jaxtissue.runs.names import to_field
+from jaxtissue.system.files import load_arrays, open_own, replacing, save_arrays
 
 
 class Checkpoint(NamedTuple):
@@ -24,9 +24,7 @@ class Checkpoint(NamedTuple):
     rows: str
 
 
-def write_backbones(
-    path: Path, positions: Float[ArrayLike, "n 2"], names: Sequence[str] | None = None
-) -> None:
+def write_backbones(path: Path, positions: Float[ArrayLike, "n 2"], names: Sequence[str] | None = None) -> None:
     """Write (axial, angle) positions, and names as `cell`, as `reading.read_backbones` reads them."""
     axial, angle = np.asarray(positions).T
     columns = {"axial": axial, "angle": angle}

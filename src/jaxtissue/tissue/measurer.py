@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxtissue.compilation.fusion import options
 from jaxtissue.compilation.modes import usual_modes
@@ -19,7 +19,7 @@ from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.cells import CellGeometry
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines
-from jaxtissue.neighbors.search import TILES, complete_lists, find_defect
+from jaxtissue.neighbors.neighbor_list import NeighborList, list_neighbors
 from jaxtissue.neighbors.shortlists import (
     CANDIDATES,
     STOPS,
@@ -83,12 +83,13 @@ def measure_tissue(
         cells = plain(traced._asdict(), jnp.result_type(float), surfaces)
     else:
         place = as_positions(positions, tube, sizes=not refine)
-        sides, (defect, is_far) = complete_lists(place, tube)
+        neighbors = list_neighbors(place, tube)
+        defect = neighbors.tiling_defect
         if not refine:
             lines = plan_lines(tube, n, resolution, surfaces=surfaces)
-            measured = _measure(place, jax.tree.map(np.asarray, (tube, lines, sides)))
+            measured = _measure(place, jax.tree.map(np.asarray, (tube, lines, neighbors.candidates)))
             return replace(measured, tiling_defect=jnp.asarray(defect))
-        cells = measure_refined(Tissue(place, given, tube, sides, is_far), resolution, surfaces, limits)
+        cells = measure_refined(Tissue(place, given, neighbors), resolution, surfaces, limits)
     for message in doubts(cells, tube, limits):
         warnings.warn(message, stacklevel=3)
     return replace(cells, tiling_defect=jnp.asarray(defect, cells.volume.dtype))
@@ -126,9 +127,9 @@ def doubts(cells: CellGeometry, tube: Tube, limits: tuple[float, float]) -> Iter
 
 
 class Kept(NamedTuple):
-    """What a `CellMeasurer` keeps: few candidates of each cell, and all but the positions on every device."""
+    """What a `CellMeasurer` keeps: a short neighbor list, and all but the positions on every device."""
 
-    sides: Int[np.ndarray, "n 2 few"]
+    neighbors: NeighborList
     placed: tuple[Tube, Lines, Array]
 
 
@@ -162,23 +163,24 @@ class CellMeasurer:
         """
         positions = as_positions(positions, self.tube)
         kept, lacks = self._kept, True
-        if kept and len(kept.sides) == len(positions):
-            lacks = check and find_defect(positions, self.tube, kept.sides) >= TILES
+        if kept and len(kept.neighbors) == len(positions):
+            lacks = check and not kept.neighbors.holds(positions)
         if lacks or not kept:
             kept = self._renew(positions)
         return _measure(positions, kept.placed)
 
     @property
-    def sides(self) -> Int[np.ndarray, "n 2 few"] | None:
-        """The candidates kept, behind and ahead of each cell, padded with the cell itself; None before."""
-        return self._kept.sides if self._kept else None
+    def neighbors(self) -> NeighborList | None:
+        """The short neighbor list that is kept; None before anything was measured."""
+        return self._kept.neighbors if self._kept else None
 
     def _renew(self, positions: Positions) -> Kept:
         """Find complete lists, see how clear of each cell candidates are, and keep the few that are least."""
         n, tube = len(positions), self.tube
         # as wide on both sides as the mean cell at the apical surface: who is that level may change sides
         margin = math.sqrt(2 * float(tube.apical_radius) * float(tube.length) / n)
-        sides, _ = complete_lists(positions, tube, margin)
+        neighbors = list_neighbors(positions, tube, margin)
+        sides = np.asarray(neighbors.candidates)
         lines = plan_lines(tube, n, self.resolution, surfaces=self.surfaces)
         looked_at = lines, sight_lines(tube, n, self.resolution)
         _, clear = _seeing()(positions, tube, looked_at, sides)
@@ -187,13 +189,13 @@ class CellMeasurer:
         # all who stop a cell, as the check's lines might not see some; in steps, so that shapes are few
         bounding = int((clear <= STOPS).sum(axis=2).max())
         count = min(max(shortlist_length(n), -(-bounding // CANDIDATES) * CANDIDATES), sides.shape[2])
-        few = nearest_sides(sides, clear, count)
-        while count < sides.shape[2] and find_defect(positions, tube, few) >= TILES:  # some may need more
+        few = replace(neighbors, candidates=nearest_sides(sides, clear, count))
+        while count < sides.shape[2] and not few.holds(positions):  # some may need more
             count = min(2 * count, sides.shape[2])
-            few = nearest_sides(sides, clear, count)
+            few = replace(neighbors, candidates=nearest_sides(sides, clear, count))
         self.num_rebuilds += 1
         everywhere = NamedSharding(mesh(tuple(jax.local_devices())), PartitionSpec())
-        self._kept = Kept(few, jax.device_put((tube, lines, few), everywhere))
+        self._kept = Kept(few, jax.device_put((tube, lines, few.candidates), everywhere))
         return self._kept
 
 

@@ -16,6 +16,7 @@ from jaxtissue.compilation.fusion import options
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.cells import CellGeometry, measure_cells
 from jaxtissue.measurement.quadrature import Lines, Resolution, plan_lines
+from jaxtissue.neighbors.neighbor_list import NeighborList
 from jaxtissue.topology.traced_sizes import trace_sizes
 
 CELLS = "cells"
@@ -32,13 +33,11 @@ COARSE = 3000  # rounding errors of a coordinate by which backbones differ that 
 
 
 class Tissue(NamedTuple):
-    """What all rules measure: backbones, in the precision of the rules and as given, and their candidates."""
+    """What all rules measure: backbones, in the precision of the rules and as given, and their neighbor list."""
 
     positions: Float[np.ndarray, "n 2"]
     given: Float[np.ndarray, "n 2"]  # float64
-    tube: Tube
-    sides: Int[np.ndarray, "n 2 candidates"]
-    all_round: Bool[np.ndarray, " n"]
+    neighbors: NeighborList
 
 
 def measure_refined(
@@ -51,7 +50,8 @@ def measure_refined(
     """
     sizes, open_ = measure_by_rules(tissue, resolution, surfaces, limits)
     if len(open_):
-        traced = trace_sizes(tissue.given, tissue.tube, open_, tissue.sides[open_])
+        candidates = np.asarray(tissue.neighbors.candidates)[open_]
+        traced = trace_sizes(tissue.given, tissue.neighbors.domain, open_, candidates)
         found = traced._asdict() if traced is not None else {}
         for name in found.keys() & sizes.keys():
             sizes[name][open_] = found[name]
@@ -78,7 +78,9 @@ def measure_by_rules(
     first, narrow = measure_lines(tissue, resolution, surfaces, everyone)
     second, narrower = measure_lines(tissue, finer(resolution), surfaces, everyone)
     sizes, finely = _on_host(first), _on_host(second)
-    mean = np.array([float(tissue.tube.volume) / n, min(sizes["lateral_area"].mean(), finely["lateral_area"].mean())])
+    mean = np.array(
+        [float(tissue.neighbors.domain.volume) / n, min(sizes["lateral_area"].mean(), finely["lateral_area"].mean())]
+    )
     allowed = np.array(limits)[:, None] * mean[:, None]
     before, after = (np.stack([t["volume"], t["lateral_area"]]).astype(float) for t in (sizes, finely))
     rounding = 30 * np.finfo(tissue.positions.dtype).eps * np.abs(after)
@@ -90,9 +92,9 @@ def measure_by_rules(
         sizes[name] = np.where(keeps, sizes[name], column)
     sizes |= {"volume_error": error[0], "lateral_area_error": error[1]}
     small = sizes["volume"] < SMALL * mean[0]
-    crowd = np.append(np.flatnonzero(small), tissue.sides[small])
+    crowd = np.append(np.flatnonzero(small), np.asarray(tissue.neighbors.candidates)[small])
     open_ = np.append(np.flatnonzero(~(error <= allowed).all(axis=0)), crowd)
-    return sizes, np.union1d(open_, near_twins(tissue.positions, tissue.tube))
+    return sizes, np.union1d(open_, near_twins(tissue.positions, tissue.neighbors.domain))
 
 
 def near_twins(positions: Float[np.ndarray, "n 2"], tube: Tube, coarse: float = COARSE) -> Int[np.ndarray, " cells"]:
@@ -119,7 +121,8 @@ def measure_lines(
 
     And which of them are narrow: they end far before the next line.
     """
-    positions, _, tube, sides, all_round = tissue
+    positions, _, neighbors = tissue
+    tube, sides, all_round = neighbors.domain, neighbors.candidates, neighbors.is_far
     lines = plan_lines(tube, len(positions), resolution, surfaces=surfaces)
     devices = tuple(jax.local_devices())
     size = -(-len(cells) // len(devices)) * len(devices)

@@ -74,7 +74,7 @@ def tabulate_connectivity(connectivity: Connectivity) -> dict[str, np.ndarray]:
 def summarize_connectivity(connectivity: Connectivity, inner_only: bool = False) -> dict[str, float]:
     """Means over the cells, or over those that touch no end: neighbors, degrees, transitions, fractions.
 
-    `degree_residual` is mean neighbors - mean apical degree - mean transitions / 2: 0 where no cell wraps
+    `identity_residual` is mean neighbors - mean apical degree - mean transitions / 2: 0 where no cell wraps
     round the lumen, no two cells touch twice, and no threshold or end leaves out a part. `transitions_max` is
     the largest count; all are not numbers where there is no cell left. Paper, section 4.3.
 
@@ -88,7 +88,7 @@ def summarize_connectivity(connectivity: Connectivity, inner_only: bool = False)
     for surface in ("apical", "basal"):
         columns[f"{surface}_degree"] = connectivity.contacts.degree(*SURFACES[surface])
     residual = columns["neighbors"] - columns["apical_degree"] - columns["transitions"] / 2
-    columns["degree_residual"] = residual
+    columns["identity_residual"] = residual
     columns["with_internal"] = columns["internal_neighbors"] > 0
     columns["detached"] = columns["pieces"] > 1
     names = ("neighbors", *(f"{kind}_neighbors" for kind in KIND_ORDER))
@@ -97,7 +97,7 @@ def summarize_connectivity(connectivity: Connectivity, inner_only: bool = False)
     summary["transitions_max"] = float(columns["transitions"][chosen].max()) if chosen.any() else math.nan
     summary |= {"scutoid_fraction": mean["is_scutoid"], "internal_fraction": mean["with_internal"]}
     summary |= {"ring_fraction": mean["is_ring"], "detached_fraction": mean["detached"]}
-    return summary | {"degree_residual": mean["degree_residual"]}
+    return summary | {"identity_residual": mean["identity_residual"]}
 
 
 def polygon_classes(

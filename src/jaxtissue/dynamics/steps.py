@@ -1,0 +1,120 @@
+"""One sweep as a pure function of a key and a state, for those who write their own dynamics."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from jaxtissue.compilation.fusion import options
+from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.dynamics.independent_sets import independent_rounds, padded_orders
+from jaxtissue.dynamics.local_updates import Neighborhoods, Scene, TissueState
+from jaxtissue.dynamics.metropolis import Order, SweepInfo, move_bound, sweep
+from jaxtissue.dynamics.spans import survey_state
+from jaxtissue.dynamics.survey import MARGIN
+from jaxtissue.dynamics.sweep_log import Measured, shortlist_neighbors
+from jaxtissue.energy import Model, check_energy, check_parameters, in_precision
+from jaxtissue.geometry.positions import as_positions, check_count
+from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines
+from jaxtissue.neighbors.neighbor_list import list_neighbors
+from jaxtissue.neighbors.shortlists import from_both, mutual_entries, sight_lines
+
+
+class SweepState(NamedTuple):
+    """A tissue between two sweeps: its backbones and cells, and what sweeps are played on.
+
+    Attributes:
+        tissue: The backbones and the sizes of their cells.
+        neighbors: The short neighbor lists, which hold for about ten sweeps.
+        order: The independent sets of moves.
+        lines: The lines on which cells are measured.
+    """
+
+    tissue: TissueState
+    neighbors: Neighborhoods
+    order: Order
+    lines: Lines
+
+    @property
+    def positions(self) -> Float[Array, "n 2"]:
+        """(axial, angle) of each backbone, [n, 2]."""
+        return jnp.stack([self.tissue.place.axial, self.tissue.place.angle], axis=-1)
+
+
+@usual_modes()
+def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -> SweepState:
+    """The state before a first sweep: cells measured, neighbor lists allocated, moves cut into independent sets.
+
+    Runs on the host. Lists hold for about ten sweeps of the default moves; then call it again with
+    `state.positions`, as `Annealer` does, which also checks that they have held.
+
+    Args:
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
+        model: The energy; see `tube_model`.
+        resolution: How finely cells are measured: a preset or layers and lines.
+
+    Returns:
+        The state for `step`.
+
+    Raises:
+        ValueError: If `as_positions` refuses the positions, if their number is not the model's, or if the energy is
+            not one finite number for each cell.
+
+    >>> from jaxtissue.energy import tube_model
+    >>> from jaxtissue.geometry.tube import Tube
+    >>> tube = Tube(length=12, apical_radius=1, basal_radius=3)
+    >>> model = tube_model(tube, 40)
+    >>> state = init(tube.random_positions(jax.random.key(0), 40), model)
+    >>> state, info = jax.jit(step)(jax.random.key(1), state, model)
+    >>> int(info.accepted + info.collisions) > 0, state.positions.shape
+    (True, (40, 2))
+    """
+    tube, place = model.tube, np.asarray(as_positions(positions, model.tube))
+    n = len(place)
+    check_energy(model)
+    check_count(n, tube, float(model.mean_volume))
+    check_parameters(model.parameters, n)
+    model = in_precision(model, place.dtype)
+    size = as_resolution(resolution)
+    lines = plan_lines(tube, n, size), sight_lines(tube, n, size)
+    sides = np.asarray(list_neighbors(place, tube, MARGIN * float(move_bound(model, n))).candidates)
+    tissue, clear, far = _surveying()(place, model, lines, sides)
+    measured = Measured(tissue, sides, from_both(np.asarray(clear), mutual_entries(sides)), np.asarray(far))
+    neighbors = shortlist_neighbors(sides, measured.urgency(), 0)
+    rounds = independent_rounds("near", place, model, measured.contacts)
+    orders = padded_orders([rounds], 1, neighbors)
+    return SweepState(tissue, neighbors, jax.tree.map(lambda leaf: leaf[0], orders), lines[0])
+
+
+@usual_modes()
+def step(
+    key: PRNGKeyArray, state: SweepState, model: Model, temperature: float | Float[Array, ""] = 2.0
+) -> tuple[SweepState, SweepInfo]:
+    """One sweep of independent-set Metropolis-Hastings (paper, section 3.3): one move for every cell.
+
+    Pure: jit it, scan it, or vmap it over keys and states.
+
+    Args:
+        key: The random key of this sweep.
+        state: What `init` or the step before gave.
+        model: The energy.
+        temperature: T, in the unit of the energy; a move that costs dE > 0 is accepted with probability exp(-dE / T).
+
+    Returns:
+        The state after the sweep, and what happened in it: moves accepted, moves put off because they would change
+        a cell that an earlier move of their set changes, rounds played, the sum of accepted energy differences.
+    """
+    shape, dtype = state.tissue.volume.shape, state.tissue.volume.dtype
+    draws = jax.random.uniform(key, (3, *shape), dtype)
+    scene = Scene(model, state.neighbors, state.lines)
+    tissue, info = sweep(draws, state.tissue, scene, jnp.asarray(temperature, dtype), state.order)
+    return state._replace(tissue=tissue), info
+
+
+@functools.cache
+def _surveying() -> Callable[..., tuple[TissueState, Array, Array]]:
+    return jax.jit(survey_state, compiler_options=options(light=True))
