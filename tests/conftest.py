@@ -94,6 +94,17 @@ def quickest_compile():
         yield
 
 
+@pytest.fixture(autouse=True)
+def quick_examples(request):
+    """Examples in docstrings are compiled quickly: they compute little."""
+    if not isinstance(request.node, pytest.DoctestItem):
+        yield
+        return
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
 @pytest.fixture(scope="module")
 def coarse_pictures():
     """Draw pictures of few pixels, laid out without care: what runs leave them, and the same each time."""

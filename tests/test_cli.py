@@ -459,7 +459,6 @@ BAD_ARGUMENTS = [
     ("anneal --out {}/good.csv/o", "can't be written"),
     ("anneal", "--out"),
     ("anneal --out {}/o --speed 3", "--speed"),
-    ("", "COMMAND"),
     ("melt", "'melt'"),
     ("measure {}/good.csv --length 12 --apical-radius 2 --out {}/o", "--basal-radius"),
     ("measure {}/good.csv --length 12 --apical-radius 5 --basal-radius 4 --out {}/o", "apical_radius=5.0"),

@@ -17,6 +17,7 @@ from jaxtissue.measurement.quadrature import plan_lines
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 TUBE = jt.Tube(length=12, apical_radius=1, basal_radius=3)
 CELLS = 40
+STEP = jax.jit(jt.step)
 NAMES = """
 PRESETS AnnealResult Annealer CellGeometry CellMeasurer Connectivity Contacts ExactDiagram Model NeighborList Resolution
 SweepRecord Tube anneal bound_ratios cartesian_voxels cells_for_unit_volume constant_schedule covering_radius
@@ -102,11 +103,11 @@ def test_results_show_numbers_and_become_frames(result):
 
 def test_steps_fall_in_energy_and_keep_account(positions):
     model = jt.tube_model(TUBE, CELLS)
-    state, step = jt.init(positions, model), jax.jit(jt.step)
+    state = jt.init(positions, model)
     before = float(jt.epithelial_energy(state.tissue, model).sum())
     change = 0.0
     for key in jax.random.split(jax.random.key(0), 10):
-        state, info = step(key, state, model)
+        state, info = STEP(key, state, model, 2.0)
         change += float(info.energy_change)
         assert 0 < int(info.accepted) < CELLS and int(info.rounds) >= 1
     after = float(jt.epithelial_energy(state.tissue, model).sum())
@@ -119,7 +120,7 @@ def test_steps_run_for_many_keys_at_once(positions):
     model = jt.tube_model(TUBE, CELLS)
     state, keys = jt.init(positions, model), jax.random.split(jax.random.key(1), 2)
     together, _ = jax.jit(jax.vmap(jt.step, (0, None, None, None)))(keys, state, model, 2.0)
-    alone, _ = jax.jit(jt.step)(keys[1], state, model, 2.0)
+    alone, _ = STEP(keys[1], state, model, 2.0)
     np.testing.assert_allclose(together.tissue.volume[1], alone.tissue.volume, rtol=2e-3, atol=1e-3)
 
 
@@ -161,9 +162,8 @@ def test_each_cell_has_its_own_target(x64):
     model = jt.tube_model(TUBE, n, cell_energy=to_target, parameters=parameters)
     state, change = jt.init(positions, model), 0.0
     before = float(to_target(state.tissue, model).sum())
-    step = jax.jit(jt.step)
     for key in jax.random.split(jax.random.key(0), 5):
-        state, info = step(key, state, model, 0.5)
+        state, info = STEP(key, state, model, 0.5)
         change += float(info.energy_change)
     fresh = jt.init(state.positions, model)
     after = float(to_target(fresh.tissue, model).sum())

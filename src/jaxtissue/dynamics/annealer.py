@@ -135,7 +135,7 @@ class Annealer:
         sweeps = next(filter(renews_at, ahead), len(self.temperatures)) - state.sweep
         plan = yield from self._rounds(state)
         after, trail, drift = yield from self._play(state, plan, sweeps)
-        taken = time.perf_counter() - begin - (self.compile_seconds - compiled)
+        seconds = time.perf_counter() - begin - (self.compile_seconds - compiled)
         sizes = np.stack([trail.volume, trail.lateral_area])
         energies = yield from self._energies(sizes)
         rows = []
@@ -143,7 +143,7 @@ class Annealer:
             info = jax.tree.map(lambda leaf, k=k: leaf[k], trail.info)
             number, cells = state.sweep + 1 + k, len(state.positions)
             row = sweep_record(number, energies[:, k], cells, self.temperatures, info)
-            rows.append(row._replace(seconds=taken / sweeps / replicas))
+            rows.append(row._replace(seconds=seconds / sweeps / replicas))
         rows[-1] = rows[-1]._replace(drift=drift)
         return after, rows, np.asarray(trail.positions)
 

@@ -93,8 +93,8 @@ class Contest:
         """One span of each: seconds of a sweep, rounds, and the share of the moves put off."""
         cells = self.annealing.cells
         row: dict[str, float] = {"apical_radius": float(self.annealing.tube.apical_radius), "cells": cells}
-        _, taken = play_whole(self.annealers["mh"], self.states["mh"], self.measurer, min(SAMPLED, cells))
-        row["whole_seconds"] = cells * float(np.median(taken))
+        _, spent = play_whole(self.annealers["mh"], self.states["mh"], self.measurer, min(SAMPLED, cells))
+        row["whole_seconds"] = cells * float(np.median(spent))
         for name in self.annealers:
             records, row[f"{name}_seconds"] = self._advance(name)
             if name in RULES:
@@ -109,9 +109,9 @@ class Contest:
         while True:
             begin, compiled = clock(), annealer.compile_seconds
             self.states[name], records, _ = annealer.advance(self.states[name])
-            taken, left = clock() - begin, len(annealer.temperatures) - self.states[name].sweep
+            spent, left = clock() - begin, len(annealer.temperatures) - self.states[name].sweep
             if annealer.compile_seconds == compiled or left < SPAN:
-                return records, taken / len(records)
+                return records, spent / len(records)
 
 
 def clock() -> float:
@@ -133,7 +133,7 @@ def play_whole(
     proposed = propose(jnp.asarray(draws[:2]), backbone_coords(jnp.asarray(state.positions)), model)
     targets = np.stack([proposed.axial, proposed.angle], axis=-1)
     place, energy = state.positions, _energy(state.positions, model, measurer)
-    temperature, taken = max(annealer.temperatures[state.sweep], 1e-300), []
+    temperature, spent = max(annealer.temperatures[state.sweep], 1e-300), []
     for cell in one_by_one(annealer.seed, state.sweep, n)[:moves, 0]:
         begin = clock()
         moved = place.copy()
@@ -141,8 +141,8 @@ def play_whole(
         changed = _energy(moved, model, measurer)
         if draws[2, cell] < np.exp(-max(changed - energy, 0) / temperature):
             place, energy = moved, changed
-        taken.append(clock() - begin)
-    return place, taken
+        spent.append(clock() - begin)
+    return place, spent
 
 
 def _energy(positions: Float[np.ndarray, "n 2"], model: Model, measurer: CellMeasurer) -> float:

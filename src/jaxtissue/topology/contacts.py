@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.topology.bisectors import BOUNDS, Bisectors
+from jaxtissue.topology.bisectors import BOUNDS
 from jaxtissue.topology.edges import WIDE, EdgeGraph, trace_edges
 from jaxtissue.topology.rims import SIDES, measure_rims
 
@@ -83,7 +83,7 @@ def find_contacts(
         raise ValueError(f"threshold={threshold}; give a fraction of the mean wall, 0 or more")
     positions = as_positions(positions, tube, np.float64)
     graph = trace_edges(positions, tube) if edges is None else edges
-    faces = find_faces(graph, Bisectors(positions, tube)) if faces is None else faces
+    faces = find_faces(graph) if faces is None else faces
     bound = graph.edge_labels[faces.edge, 2] - graph.cells
     count, length = len(faces.labels), faces.edge_length[faces.edge]
     apical, basal = (np.bincount(faces.face, length * (bound == surface), count) for surface in (0, 1))
@@ -98,9 +98,9 @@ def find_contacts(
     return Contacts(graph.cells, *(column[kept] for column in columns))
 
 
-def find_faces(edges: EdgeGraph, bisectors: Bisectors) -> Faces:
+def find_faces(edges: EdgeGraph) -> Faces:
     """The faces of all cells from the edges round them."""
-    n, labels, rims = edges.cells, edges.edge_labels, measure_rims(edges, bisectors)
+    n, labels, rims = edges.cells, edges.edge_labels, measure_rims(edges, edges.bisectors)
     sides = np.concatenate([labels[:, [one, two]] for one, two, _ in SIDES])
     rows = np.flatnonzero(sides[:, 0] < n)
     base = n + BOUNDS

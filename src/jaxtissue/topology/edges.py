@@ -44,6 +44,7 @@ class EdgeGraph(NamedTuple):
     tangents: Float[np.ndarray, "s 2 3"]
     open_ends: int  # of edges, cells not met or told apart: if not 0, parts may be missing
     blur: float  # how far walls are off, at most, where more than four labels met and had to be parted
+    bisectors: Bisectors  # of the tissue itself, built once for all that is found from its edges
 
 
 def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
@@ -72,7 +73,7 @@ def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
         weights[parted] = random.uniform(0, PART, parted.sum()) * gaps[parted]
     assert best is not None
     (_, untold), graph, weights = best
-    graph = graph._replace(open_ends=graph.open_ends + untold)
+    graph = graph._replace(open_ends=graph.open_ends + untold, bisectors=plain)
     if graph.open_ends:
         message = f"{graph.open_ends} edges of the diagram could not be followed: contacts and transitions may be"
         warnings.warn(f"{message} missing; move backbones that nearly coincide apart", stacklevel=2)
@@ -257,5 +258,6 @@ class _Growing:
             tangents,
             int(4 * len(four) - len(self.closed) + unseen.sum()),
             0.0,
+            bisectors,
         )
         return graph, tied[:n], lost[:n]

@@ -10,7 +10,6 @@ from jaxtyping import ArrayLike, Bool, Float
 
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.topology.bisectors import Bisectors
 from jaxtissue.topology.contacts import Contacts, find_contacts, find_faces
 from jaxtissue.topology.edges import trace_edges
 from jaxtissue.topology.traced_sizes import TracedSizes, find_ends, traced_sizes
@@ -46,7 +45,7 @@ def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold:
         raise ValueError(f"threshold={threshold}; give a fraction of the mean wall, 0 or more")
     place = as_positions(positions, tube, np.float64)
     edges = trace_edges(place, tube)
-    faces = find_faces(edges, Bisectors(place, tube))
+    faces = find_faces(edges)
     return Connectivity(
         find_contacts(place, tube, threshold, edges, faces),
         find_transitions(place, tube, edges, faces),

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.topology.bisectors import BOUNDS, Bisectors
+from jaxtissue.topology.bisectors import BOUNDS
 from jaxtissue.topology.contacts import Faces, find_faces
 from jaxtissue.topology.edges import WIDE, EdgeGraph, trace_edges
 
@@ -87,7 +87,7 @@ def trace_sizes(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of open ends: the caller is told by None
         edges = trace_edges(place, tube)
-    sizes = traced_sizes(edges, find_faces(edges, Bisectors(place, tube)), tube, n)
+    sizes = traced_sizes(edges, find_faces(edges), tube, n)
     if sizes is None or cells is None:
         return sizes
     at = np.searchsorted(traced, cells)

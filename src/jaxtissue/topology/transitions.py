@@ -61,8 +61,7 @@ def find_transitions(
     graph = trace_edges(positions, tube) if edges is None else edges
     inner = graph.vertex_labels[:, 3] < graph.cells
     if graph.blur:
-        place = as_positions(positions, tube, np.float64)
-        inner &= ~_of_slivers(graph, find_faces(graph, Bisectors(place, tube)) if faces is None else faces)
+        inner &= ~_of_slivers(graph, find_faces(graph) if faces is None else faces)
     cells = graph.vertex_labels[inner]
     per_cell = np.bincount(cells.ravel(), minlength=graph.cells)
     return Transitions(graph.vertices[inner], cells, per_cell, graph.open_ends)
@@ -94,14 +93,14 @@ def find_forms(
     """
     place = as_positions(positions, tube, np.float64)
     graph = trace_edges(place, tube) if edges is None else edges
-    faces = find_faces(graph, Bisectors(place, tube)) if faces is None else faces
+    faces = find_faces(graph) if faces is None else faces
     return CellForms(_find_rings(place, tube, graph), _count_pieces(graph, faces))
 
 
 def _find_rings(place: np.ndarray, tube: Tube, graph: EdgeGraph) -> Bool[np.ndarray, " n"]:
     """Cells whose silhouette leaves out some radius."""
     n, inner, outer = graph.cells, float(tube.apical_radius), float(tube.basal_radius)
-    low, high = _radial_ranges(graph, Bisectors(place, tube))
+    low, high = _radial_ranges(graph, graph.bisectors)
     ahead = np.concatenate([place[:, 0], [np.nan, np.nan, -np.inf, np.inf]])  # no silhouette on the surfaces
     cells, edges = [np.arange(n)], [np.full(n, -1)]
     for own, first, second in ((0, 1, 2), (1, 0, 2), (2, 0, 1)):
