@@ -16,7 +16,7 @@ from jaxtissue.compilation.fusion import take_rows
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.positions import X64
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.cells import CellGeometry
+from jaxtissue.measurement.cells import Adhesion, CellGeometry
 
 CONSTANTS = ("mean_volume", "modulus", "tension")
 CellEnergy = Callable[[CellGeometry, "Model"], Float[Array, "cells"]]
@@ -48,6 +48,10 @@ class Model(eqx.Module):
     depends on its own alone. The constants are one number each, the same for all cells; what differs from cell
     to cell is in `parameters`, arrays whose first axis is the cells, [n, ...]. Where the energy of some cells is
     asked for, `model.parameters` holds the rows of these. All but the function are traced.
+
+    With an `adhesion`, walls count by the types of the two cells that they part: `lateral_area` is then the sum of
+    the areas of a cell's walls, each times the weight of its pair of types. Weights above 1 between unlike types
+    make them part, as differential adhesion does.
     """
 
     tube: Tube
@@ -56,6 +60,7 @@ class Model(eqx.Module):
     tension: float | Array = 0.4
     cell_energy: CellEnergy = eqx.field(static=True, default=epithelial_energy)
     parameters: Any = None  # a pytree of arrays [n, ...]
+    adhesion: Adhesion | None = None
 
     def of(self, cells: Int[Array | np.ndarray, "cells"]) -> "Model":
         """The model of some cells: with the rows of the parameters that are theirs."""
@@ -73,6 +78,7 @@ def tube_model(
     cell_energy: CellEnergy = epithelial_energy,
     relative: bool = False,
     parameters: Any = None,
+    adhesion: Adhesion | None = None,
 ) -> Model:
     """The model of `cells` cells that fill `tube`: Vbar = |D| / n. The paper's constants are the defaults.
 
@@ -100,9 +106,10 @@ def tube_model(
     if cells < 1:
         raise ValueError(f"cells={cells}: a tissue has at least one cell")
     check_parameters(parameters, cells)
+    check_adhesion(adhesion, cells)
     mean = tube.volume / cells
     units = (mean**2, mean ** (2 / 3)) if relative else (1, 1)
-    return Model(tube, mean, modulus / units[0], tension / units[1], cell_energy, parameters)
+    return Model(tube, mean, modulus / units[0], tension / units[1], cell_energy, parameters, adhesion)
 
 
 def check_parameters(parameters: Any, cells: int) -> None:
@@ -121,9 +128,27 @@ def in_precision(model: Model, dtype: DTypeLike) -> Model:
     def convert(leaf: Any) -> np.ndarray:
         return np.asarray(leaf, dtype if np.asarray(leaf).dtype.kind == "f" else None)
 
-    constants = replace(model, parameters=None)
+    constants = replace(model, parameters=None, adhesion=None)
     converted = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), constants)
-    return replace(converted, parameters=jax.tree.map(convert, model.parameters))
+    cells = jax.tree.map(convert, (model.parameters, model.adhesion))
+    return replace(converted, parameters=cells[0], adhesion=cells[1])
+
+
+def check_adhesion(adhesion: Adhesion | None, cells: int) -> None:
+    """Raise `ValueError` for types that are not one whole number for each cell, or weights that are no weights."""
+    if adhesion is None or isinstance(adhesion.types, Tracer) or isinstance(adhesion.weights, Tracer):
+        return
+    types, weights = np.asarray(adhesion.types), np.asarray(adhesion.weights)
+    if types.shape != (cells,) or types.dtype.kind not in "iu":
+        raise ValueError(
+            f"types are {types.dtype} of shape {types.shape}; give a whole number for each of {cells} cells"
+        )
+    if weights.ndim != 2 or weights.shape[0] != weights.shape[1] or not np.isfinite(weights).all():
+        raise ValueError(f"weights of shape {weights.shape}; give one finite number for each pair of types, [k, k]")
+    if not np.array_equal(weights, weights.T):
+        raise ValueError("weights are not symmetric; give the wall between two types one weight")
+    if not (types.min(initial=0) >= 0 and types.max(initial=0) < len(weights)):
+        raise ValueError(f"types go from {types.min()} to {types.max()}, and weights have {len(weights)} rows")
 
 
 def cell_energies(cells: CellGeometry, model: Model) -> Float[Array, "cells"]:

@@ -25,7 +25,7 @@ from jaxtissue.dynamics.sweep_log import (
     shortlist_neighbors,
     sweep_record,
 )
-from jaxtissue.energy import Model, check_energy, check_parameters, in_precision, require_finite
+from jaxtissue.energy import Model, check_adhesion, check_energy, check_parameters, in_precision, require_finite
 from jaxtissue.geometry.positions import as_positions, check_count
 from jaxtissue.measurement.axial_lines import BackboneCoords
 from jaxtissue.measurement.cells import CellGeometry
@@ -104,6 +104,7 @@ class Annealer:
         own = np.asarray(as_positions(positions, self.model.tube))
         check_count(len(own), self.model.tube, float(self.model.mean_volume))
         check_parameters(self.model.parameters, len(own))
+        check_adhesion(self.model.adhesion, len(own))
         warn_of_coarse_places(self.model, len(own), own.dtype)
         return AnnealState(0, own)
 

@@ -215,7 +215,8 @@ def measure_changes(
             here = pick(state.place, index)
             return jax.tree.map(lambda old, new: jnp.where(index == mover, new, old), here, to)
 
-        window = measure_window(moved(which), moved(rivals), rivals < which, model.tube, lines, shift)
+        weights = model.adhesion.between(which, rivals) if model.adhesion is not None else None
+        window = measure_window(moved(which), moved(rivals), rivals < which, model.tube, lines, shift, weights)
         at = jnp.where(shift == 0, items, size)
         done = done._replace(
             volume=done.volume.at[items].add(window.sizes.volume, **SCATTER),

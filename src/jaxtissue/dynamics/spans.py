@@ -32,7 +32,7 @@ def survey_state(
     sides: Int[Array, "n 2 candidates"],
 ) -> tuple[TissueState, Float[Array, "n 2 candidates"], Float[Array, "n 2 candidates"]]:
     """The state of a whole tissue, how clear of each cell its candidates are, as `survey_tissue` tells, and how far."""
-    seen, clear = survey_tissue(positions, model.tube, lines, sides)
+    seen, clear = survey_tissue(positions, model.tube, lines, sides, model.adhesion)
     return tissue_state(positions, seen), clear, distances(positions, model.tube, sides)
 
 

@@ -17,7 +17,7 @@ from jaxtissue.dynamics.metropolis import Order, SweepInfo, move_bound, sweep
 from jaxtissue.dynamics.spans import survey_state
 from jaxtissue.dynamics.survey import MARGIN
 from jaxtissue.dynamics.sweep_log import Measured, shortlist_neighbors
-from jaxtissue.energy import Model, check_energy, check_parameters, in_precision
+from jaxtissue.energy import Model, check_adhesion, check_energy, check_parameters, in_precision
 from jaxtissue.geometry.positions import as_positions, check_count
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines
 from jaxtissue.neighbors.neighbor_list import list_neighbors
@@ -77,6 +77,7 @@ def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -
     check_energy(model)
     check_count(n, tube, float(model.mean_volume))
     check_parameters(model.parameters, n)
+    check_adhesion(model.adhesion, n)
     model = in_precision(model, place.dtype)
     size = as_resolution(resolution)
     lines = plan_lines(tube, n, size), sight_lines(tube, n, size)

@@ -21,7 +21,7 @@ from jaxtissue.measurement.axial_lines import (
     window_in_frame,
 )
 from jaxtissue.measurement.quadrature import Lines
-from jaxtissue.measurement.walls import BOUNDARY, Walls, bounding_neighbor, strips, walls
+from jaxtissue.measurement.walls import BOUNDARY, Walls, bounding_neighbor, facing, strips, walls
 from jaxtissue.system.frames import as_frame
 
 BLOCK = 48  # cells measured at once, whole vectors of 16; of 64 or 128 rows evict each other from the cache
@@ -72,6 +72,25 @@ class CellGeometry(eqx.Module):
         return f"<table><caption>{np.size(self.volume)} cells</caption>{head}{''.join(rows)}</table>"
 
 
+class Adhesion(eqx.Module):
+    """How walls count by the types of the two cells that they part: lateral areas are sums of weighted walls.
+
+    Attributes:
+        types: The type of each cell, 0 to k - 1, [n].
+        weights: The weight of a wall between two types, symmetric, [k, k].
+    """
+
+    types: Int[Array | np.ndarray, "n"]
+    weights: Float[Array | np.ndarray, "k k"]
+
+    def between(self, cells: Int[Array, "cells"], others: Int[Array, "..."]) -> Float[Array, "..."]:
+        """The weight of the walls between cells and others."""
+        types = jnp.asarray(self.types)
+        count = self.weights.shape[0]
+        pair = take_rows(types, cells) * count + take_rows(types, others)
+        return take_rows(jnp.asarray(self.weights).ravel(), pair)
+
+
 class Window(NamedTuple):
     """Cells measured within one window of lines."""
 
@@ -93,11 +112,12 @@ def measure_window(
     tube: Tube,
     lines: Lines,
     shift: Int[Array, "cells"],
+    weights: Float[Array, "candidates 2 cells"] | None = None,
 ) -> Window:
     """Measure the cells of the backbones `own`, [cells], among their candidates, [candidates, 2, cells].
 
     Each in the window `shift` windows onward. `first` tells the candidates with lower numbers than the cell:
-    at equal heights these are behind.
+    at equal heights these are behind. Walls with a candidate count by its `weights`, or all by 1.
     """
     dtype, truth = own.axial.dtype, own.axial[0] > -1
     ends = jnp.stack([own.axial, tube.length - own.axial])
@@ -105,6 +125,8 @@ def measure_window(
     rivals = fusion_barrier(lambda: coords_by_side(own, others, first, tube), truth)
     by = bounding_neighbor(grid, rivals, ends, tube, truth)
     wall = walls(by, rivals, ends, grid, tube, truth)
+    if weights is not None:
+        wall = wall._replace(area=wall.area * facing(weights, by, truth))
     inside, step = wall.reach[:, 0] + wall.reach[:, 1] > 0, lines.step(dtype, shift)
     strip = jnp.pad((inside[1:] | inside[:-1]) & (step[:-1] > 0), ((1, 1), (0, 0)))
     bears = strip[1:] | strip[:-1]
@@ -215,6 +237,7 @@ def measure_cells(
     neighbors: Int[Array | np.ndarray, "n 2 candidates"],
     cells: Int[Array, "cells"] | None = None,
     all_round: Bool[Array, "n"] | None = None,
+    adhesion: Adhesion | None = None,
 ) -> tuple[CellGeometry, Survey]:
     """Measure all cells, or the given ones, against their candidate neighbors behind and ahead.
 
@@ -242,7 +265,8 @@ def measure_cells(
         members = take_rows(which, items)
         rivals = take_rows(neighbors, members).transpose(2, 1, 0)
         own, others = pick(table, members), pick(table, rivals)
-        window = measure_window(own, others, rivals < members, tube, lines, shift)
+        weights = adhesion.between(members, rivals) if adhesion is not None else None
+        window = measure_window(own, others, rivals < members, tube, lines, shift, weights)
         onward = window.onward
         if all_round is not None:
             further = (lines.step(dtype, shift + side).any(axis=0) for side in (-1, 1))

@@ -120,13 +120,8 @@ def walls(by: Array, rivals: RelativeCoords, ends: Array, grid: LineFrame, tube:
     A rival's turn is one complex number, versine + i sine: gathering two real ones takes twice as long. Walls
     that are level are seldom there, and only then looked for.
     """
-    cells, end = by.shape[-1], by == BOUNDARY
-    at = jnp.maximum(by, 0) * (2 * cells) + jnp.arange(2 * cells, dtype=by.dtype).reshape(2, cells)
-
-    def facing(table: Array) -> Array:
-        return fusion_barrier(lambda: take_rows(table.ravel(), at), truth)
-
-    turn, half = facing(jax.lax.complex(rivals.versine, rivals.sine)), facing(rivals.half)
+    end = by == BOUNDARY
+    turn, half = (facing(table, by, truth) for table in (jax.lax.complex(rivals.versine, rivals.sine), rivals.half))
     line = jax.tree.map(lambda table: table[:, None], grid)
     level = is_level(rivals, tube).any()
 
@@ -149,6 +144,13 @@ def walls(by: Array, rivals: RelativeCoords, ends: Array, grid: LineFrame, tube:
         return Walls(tangent, *(jnp.where(end, 0, size) for size in (area, edge)))
 
     return jax.lax.cond(level, lambda: wall(True), lambda: wall(False))
+
+
+def facing(table: Array, by: Int[Array, "lines 2 cells"], truth: Array) -> Array:
+    """What a table of the candidates, [candidates, 2, cells], has of the one that ends each cell on each line."""
+    cells = by.shape[-1]
+    at = jnp.maximum(by, 0) * (2 * cells) + jnp.arange(2 * cells, dtype=by.dtype).reshape(2, cells)
+    return fusion_barrier(lambda: take_rows(table.ravel(), at), truth)
 
 
 def is_level(rivals: RelativeCoords, tube: Tube) -> Array:

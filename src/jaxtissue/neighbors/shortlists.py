@@ -25,7 +25,7 @@ from jaxtissue.measurement.axial_lines import (
     relative_coords,
     turn_between,
 )
-from jaxtissue.measurement.cells import BLOCK, Survey, measure_cells
+from jaxtissue.measurement.cells import BLOCK, Adhesion, Survey, measure_cells
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines
 from jaxtissue.neighbors.search import lowest_columns, pad_lists, spacing_at, symmetric_graph
 
@@ -167,12 +167,13 @@ def survey_tissue(
     tube: Tube,
     lines: tuple[Lines, Lines],
     sides: Int[Array, "n 2 candidates"],
+    adhesion: Adhesion | None = None,
 ) -> tuple[Survey, Float[Array, "n 2 candidates"]]:
     """Measure a whole tissue, and on `sight_lines` how clear of each cell its candidates are.
 
     Who touches it, or stops it on any line, has a flag instead of a clearance.
     """
-    _, seen = measure_cells(positions, tube, lines[0], sides)
+    _, seen = measure_cells(positions, tube, lines[0], sides, adhesion=adhesion)
     clear = clearance(positions, tube, lines[1], sides)
     return seen, jnp.where(seen.touched, TOUCHES, jnp.where(seen.stops, STOPS, clear))
 
