@@ -24,34 +24,84 @@ CellEnergy = Callable[[CellGeometry, "Model"], Float[Array, "cells"]]
 
 @usual_modes()
 def volume_elasticity(cells: CellGeometry, model: "Model") -> Float[Array, "cells"]:
-    """K/2 (Vbar - V_i)^2 of each cell: what it costs not to have the mean volume."""
+    """The elastic energy K/2 (Vbar - V_i)^2 of each cell: the cost of a volume that differs from the mean volume.
+
+    The first term of the paper's energy (section 3.1).
+
+    Args:
+        cells: The sizes of the cells; only `volume` is read.
+        model: The model, of which the modulus K and the mean volume Vbar are read.
+
+    Returns:
+        The energy of each cell, [cells], in the unit of energy that K sets.
+
+    >>> model = tube_model(Tube(10, 1, 2), 3, modulus=2.0)
+    >>> cells = CellGeometry(volume=model.mean_volume + jnp.array([0.0, 1.0, -2.0]), lateral_area=jnp.ones(3))
+    >>> volume_elasticity(cells, model).round(3).tolist()
+    [0.0, 1.0, 4.0]
+    """
     return model.modulus / 2 * (model.mean_volume - cells.volume) ** 2
 
 
 @usual_modes()
 def lateral_tension(cells: CellGeometry, model: "Model") -> Float[Array, "cells"]:
-    """Lambda A_i of each cell: the tension of its walls with other cells."""
+    """The energy Lambda A_i of the lateral walls of each cell, those that it shares with other cells.
+
+    The second term of the paper's energy (section 3.1).
+
+    Args:
+        cells: The sizes of the cells; only `lateral_area` is read.
+        model: The model, of which the tension Lambda is read.
+
+    Returns:
+        The energy of each cell, [cells].
+
+    >>> cells = CellGeometry(volume=jnp.ones(2), lateral_area=jnp.array([1.0, 3.0]))
+    >>> lateral_tension(cells, tube_model(Tube(10, 1, 2), 2, tension=0.5)).tolist()
+    [0.5, 1.5]
+    """
     return model.tension * cells.lateral_area
 
 
 @usual_modes()
 def epithelial_energy(cells: CellGeometry, model: "Model") -> Float[Array, "cells"]:
-    """E_i = K/2 (Vbar - V_i)^2 + Lambda A_i, the paper's energy."""
+    """The paper's energy of each cell, E_i = K/2 (Vbar - V_i)^2 + Lambda A_i (section 3.1).
+
+    Args:
+        cells: The sizes of the cells; `volume` and `lateral_area` are read.
+        model: The model, with the modulus K, the mean volume Vbar and the tension Lambda.
+
+    Returns:
+        The energy of each cell, [cells]; the energy of the tissue is its sum.
+
+    >>> model = tube_model(Tube(10, 1, 2), 2)
+    >>> cells = CellGeometry(volume=jnp.full(2, model.mean_volume), lateral_area=jnp.array([1.0, 3.0]))
+    >>> [round(energy, 3) for energy in epithelial_energy(cells, model).tolist()]
+    [0.4, 1.2]
+    """
     return volume_elasticity(cells, model) + lateral_tension(cells, model)
 
 
 class Model(eqx.Module):
-    """What a tissue's energy depends on beside the backbones: its tube, its constants, and the energy itself.
+    """The energy model of a tissue: its tube, its constants, and the energy of a cell (paper, section 3.1).
 
-    `modulus` is K, `tension` Lambda, `mean_volume` Vbar; `cell_energy(cells, model)` gives E_i of each cell
-    and may be any jittable function of `CellGeometry.volume` and `lateral_area`, of which each cell's energy
-    depends on its own alone. The constants are one number each, the same for all cells; what differs from cell
-    to cell is in `parameters`, arrays whose first axis is the cells, [n, ...]. Where the energy of some cells is
-    asked for, `model.parameters` holds the rows of these. All but the function are traced.
+    The constants are one number each, the same for all cells. Values that differ from cell to cell are in `parameters`.
+    All fields but the function are traced, so that they change without recompiling. `tube_model` makes a model with
+    Vbar = |D| / n.
 
-    With an `adhesion`, walls count by the types of the two cells that they part: `lateral_area` is then the sum of
-    the areas of a cell's walls, each times the weight of its pair of types. Weights above 1 between unlike types
-    make them part, as differential adhesion does.
+    Attributes:
+        tube: The tube that the cells fill.
+        mean_volume: Vbar, the mean volume of a cell.
+        modulus: K, the weight of the volume term.
+        tension: Lambda, the weight of the lateral area.
+        cell_energy: A function `cell_energy(cells, model)` that gives the energy E_i of each cell, [cells]. It may be
+            any jittable function of `CellGeometry.volume` and `lateral_area` in which the energy of a cell depends on
+            the sizes of that cell alone.
+        parameters: A pytree of arrays whose first axis is the cells, [n, ...], or None. Where the function is called
+            for a part of the cells, `model.parameters` holds the rows of that part.
+        adhesion: How walls count by the types of the two cells that they part, or None. `lateral_area` is then the sum
+            of the areas of a cell's walls, each times the weight of its pair of types. Weights above 1 between unlike
+            types make these separate, as differential adhesion does.
     """
 
     tube: Tube
@@ -59,11 +109,18 @@ class Model(eqx.Module):
     modulus: float | Array = 1.0
     tension: float | Array = 0.4
     cell_energy: CellEnergy = eqx.field(static=True, default=epithelial_energy)
-    parameters: Any = None  # a pytree of arrays [n, ...]
+    parameters: Any = None
     adhesion: Adhesion | None = None
 
     def of(self, cells: Int[Array | np.ndarray, "cells"]) -> "Model":
-        """The model of some cells: with the rows of the parameters that are theirs."""
+        """The model for a part of the cells, with the rows of the parameters that belong to them.
+
+        Args:
+            cells: The numbers of the cells, [cells].
+
+        Returns:
+            The same model, or one with fewer rows of parameters.
+        """
         if self.parameters is None:
             return self
         rows = jax.tree.map(lambda table: take_rows(table, jnp.asarray(cells)), self.parameters)
@@ -80,14 +137,29 @@ def tube_model(
     parameters: Any = None,
     adhesion: Adhesion | None = None,
 ) -> Model:
-    """The model of `cells` cells that fill `tube`: Vbar = |D| / n. The paper's constants are the defaults.
+    """The energy model of `cells` cells that fill a tube, with Vbar = |D| / n (paper, sections 3.1 and 4.3).
 
-    `relative` constants have no units: E_i = K/2 (1 - V_i / Vbar)^2 + Lambda A_i / Vbar^(2/3), so that a
-    tissue has the same energy in every unit of length; those of an energy of one's own are K / Vbar^2 and
-    Lambda / Vbar^(2/3).
+    The defaults are the paper's constants, K = 1 and Lambda = 0.4.
 
-    `parameters` are what an energy of one's own knows of each cell, such as target volumes: an array or a
-    dictionary, tuple or other tree of arrays with one row for each cell.
+    Args:
+        tube: The tube that the cells fill.
+        cells: n, the number of cells.
+        modulus: K, the weight of the volume term.
+        tension: Lambda, the weight of the lateral area.
+        cell_energy: The energy of each cell as a function of its sizes and the model; see `Model`.
+        relative: Whether K and Lambda have no units: E_i = K/2 (1 - V_i / Vbar)^2 + Lambda A_i / Vbar^(2/3), so that a
+            tissue has the same energy in every unit of length. A `cell_energy` of your own then finds the modulus
+            K / Vbar^2 and the tension Lambda / Vbar^(2/3).
+        parameters: Values that a `cell_energy` of your own needs of each cell, such as target volumes: an array, or a
+            dictionary, tuple or other tree of arrays, with one row for each cell.
+        adhesion: Types of the cells, and how much walls between two types count; by default all count alike.
+
+    Returns:
+        The model.
+
+    Raises:
+        ValueError: If the modulus or the tension is no number, negative or not finite, if there are no cells, or if the
+            parameters do not have one row for each cell or are not finite numbers.
 
     >>> def energy(cells, model):
     ...     return (cells.volume - model.parameters) ** 2
@@ -95,9 +167,6 @@ def tube_model(
     >>> model = tube_model(tube, 3, cell_energy=energy, parameters=jnp.array([1.0, 2.0, 3.0]))
     >>> energy(CellGeometry(jnp.ones(2), jnp.ones(2)), model.of(jnp.array([2, 0]))).tolist()
     [4.0, 0.0]
-
-    Raises `ValueError` for a modulus or tension that is no number, negative or not finite, for no cells, and for
-    parameters that have not one row for each cell or are not finite numbers.
     """
     for name, value in (("modulus", modulus), ("tension", tension)):
         _check_constant(name, value)
@@ -113,7 +182,7 @@ def tube_model(
 
 
 def check_parameters(parameters: Any, cells: int) -> None:
-    """Raise `ValueError` for parameters that have not one row of finite numbers for each of so many cells."""
+    """Raise `ValueError` unless the parameters have one row of finite numbers for each of `cells` cells."""
     for path, table in jax.tree_util.tree_leaves_with_path(parameters):
         name = f"parameters{jax.tree_util.keystr(path)}"
         if np.ndim(table) == 0 or len(table) != cells:
@@ -152,10 +221,10 @@ def check_adhesion(adhesion: Adhesion | None, cells: int) -> None:
 
 
 def cell_energies(cells: CellGeometry, model: Model) -> Float[Array, "cells"]:
-    """E_i of each cell by the model's energy.
+    """The energy E_i of each cell by the model's function.
 
     Raises `ValueError`, while it is traced, for constants that are not one number each and for an energy that
-    does not give one number a cell.
+    does not give one number for each cell.
     """
     for name in CONSTANTS:
         _check_constant(name, getattr(model, name))
@@ -170,10 +239,11 @@ tissue_energies = jax.jit(cell_energies)  # outside of other programs: one inste
 
 
 def check_energy(model: Model) -> None:
-    """Raise `ValueError` for an energy that can't be annealed in the precision JAX works in.
+    """Raise `ValueError` for an energy that cannot be annealed in the precision JAX works in.
 
-    It is tried on a few cells of about the mean volume: constants must be one number each, and energies one
-    finite number a cell that depends on that cell alone, neither over- nor underflowing.
+    The function is tried on a small number of cells of about the mean volume. The constants must be one number each,
+    and the energies one finite number for each cell that depends on that cell alone and neither overflows nor
+    underflows.
     """
     for name in CONSTANTS:
         _check_constant(name, getattr(model, name))

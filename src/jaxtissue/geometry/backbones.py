@@ -8,7 +8,12 @@ from jaxtissue.compilation.modes import usual_modes
 
 
 class Backbones(eqx.Module):
-    """The two ends of each cell's backbone, in Cartesian coordinates (unit: that of the tissue's lengths)."""
+    """The two ends of the backbone of each cell, in Cartesian coordinates (paper, Definition 2).
+
+    Attributes:
+        apical: The ends on the apical surface, [n, 3], in the unit of the tube's lengths.
+        basal: The ends on the basal surface, [n, 3], in the same unit.
+    """
 
     apical: Float[Array, "n 3"]
     basal: Float[Array, "n 3"]
@@ -16,9 +21,9 @@ class Backbones(eqx.Module):
 
 @usual_modes()
 def distance_to_segment(point: Float[Array, "3"], start: Float[Array, "3"], end: Float[Array, "3"]) -> Float[Array, ""]:
-    """Distance from one point to one segment, min over 0 <= u <= 1 of |point - start - u (end - start)|.
+    """The distance from a point to a segment, min over 0 <= u <= 1 of |point - start - u (end - start)|.
 
-    A segment of length zero is a point. Lift it with `jax.vmap` for many points or segments.
+    A segment of length zero is a point. Lift the function with `jax.vmap` for many points or segments.
 
     >>> import jax.numpy as jnp
     >>> start, end = jnp.array([0.0, 0.0, 0.0]), jnp.array([2.0, 0.0, 0.0])
@@ -36,10 +41,10 @@ def distance_to_segment(point: Float[Array, "3"], start: Float[Array, "3"], end:
 def distance_between_segments(
     start_a: Float[Array, "3"], end_a: Float[Array, "3"], start_b: Float[Array, "3"], end_b: Float[Array, "3"]
 ) -> Float[Array, ""]:
-    """Smallest distance of two segments, also where they are parallel, cross or are single points.
+    """The smallest distance between two segments, also where they are parallel, cross or are single points.
 
-    It is taken between an end of one and the other segment, or between the feet of the common perpendicular
-    of the two lines where both lie inside. Each candidate joins points of the segments, so none is too small.
+    It is found between an end of one segment and the other segment, or between the feet of the common perpendicular of
+    the two lines where both feet lie inside. Every candidate joins points of the segments, so none is too small.
 
     >>> import jax.numpy as jnp
     >>> a = jnp.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])

@@ -19,21 +19,31 @@ THIN = 0.01  # of the wall, by which rounding of the radii may change it
 
 
 def _plain(size: Any) -> Any:
-    """Numbers as Python floats, which take the precision of the arrays they meet; arrays of whole numbers as
-    floats."""
+    """Numbers as Python floats, which take the precision of the arrays they meet.
+
+    Arrays of whole numbers become arrays of floats; other arrays stay as they are.
+    """
     if isinstance(size, jax.Array) or np.asarray(size).dtype.kind not in "iuf":
         return size
     return float(size) if np.ndim(size) == 0 else np.asarray(size, float)
 
 
 class Tube(eqx.Module):
-    """Tissue between cylinders of radii `apical_radius` < `basal_radius`, for axial positions 0 to `length`.
+    """A tubular tissue between two nested cylinders round the x axis (paper, Definition 3).
 
-    The three sizes are pytree leaves: they are traced, so radii and length change without recompiling and
-    `vmap` runs over them. A backbone's *position* is (axial, angle): it stands radially at x = axial.
-    The frame is x along the axis, y = r cos(angle), z = r sin(angle). Raises `ValueError` for sizes that
-    are known before tracing and no numbers, not positive, not finite, or not nested, and for those that the
-    precision JAX works in can't measure: too small, too large, or with a wall that rounding changes.
+    The tissue fills the axial positions 0 to L and the radii R_a to R_b. A backbone has a *position* (axial, angle): it
+    stands radially at x = axial. The frame is x along the axis, y = r cos(angle), z = r sin(angle). The three sizes are
+    pytree leaves: they are traced, so radii and length change without recompiling, and `vmap` runs over them.
+
+    Attributes:
+        length: L, the length of the tube; its unit is the unit of all lengths.
+        apical_radius: R_a, the radius of the apical surface, in the same unit.
+        basal_radius: R_b, the radius of the basal surface, in the same unit.
+
+    Raises:
+        ValueError: If sizes that are known before tracing are no numbers, not positive, not finite, or not nested, or
+            if the precision that JAX works in cannot measure them: too small, too large, or with a wall that rounding
+            changes.
 
     >>> tube = Tube(length=100, apical_radius=1, basal_radius=10)
     >>> round(tube.volume)
@@ -57,23 +67,29 @@ class Tube(eqx.Module):
 
     @property
     def volume(self) -> float | Array:
-        """Volume of the tissue, pi (R_b^2 - R_a^2) L."""
+        """The volume of the tissue, pi (R_b^2 - R_a^2) L, in the unit of length cubed."""
         wall = self.basal_radius - self.apical_radius
         return math.pi * wall * (self.basal_radius + self.apical_radius) * self.length
 
     @property
     def apical_area(self) -> float | Array:
-        """Area of the apical surface, 2 pi R_a L."""
+        """The area of the apical surface, 2 pi R_a L, in the unit of length squared."""
         return 2 * math.pi * self.apical_radius * self.length
 
     @property
     def basal_area(self) -> float | Array:
-        """Area of the basal surface, 2 pi R_b L."""
+        """The area of the basal surface, 2 pi R_b L, in the unit of length squared."""
         return 2 * math.pi * self.basal_radius * self.length
 
     @usual_modes()
     def embed(self, positions: Float[Array, "n 2"]) -> Backbones:
-        """The backbones, as segments, of the given (axial, angle) positions.
+        """Place backbones in space, as radial segments from the apical to the basal surface (paper, Definition 3).
+
+        Args:
+            positions: (axial, angle) of each backbone, [n, 2]; may be traced.
+
+        Returns:
+            The Cartesian coordinates of both ends of each backbone.
 
         >>> backbones = Tube(10, 1, 2).embed(jnp.array([[5.0, 0.0]]))
         >>> backbones.apical.tolist(), backbones.basal.tolist()
@@ -87,10 +103,16 @@ class Tube(eqx.Module):
 
     @usual_modes()
     def reflect(self, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
-        """The positions brought back to 0 <= axial <= L by reflection at the ends, and 0 <= angle < 2 pi.
+        """Bring positions back to 0 <= axial <= L by reflection at the ends, and to 0 <= angle < 2 pi.
 
-        Positions already inside come back unchanged, to the last bit. Reflection, unlike clipping, keeps the
+        Positions that already lie inside come back unchanged, to the last bit. Reflection, unlike clipping, keeps the
         proposals of a Metropolis chain symmetric.
+
+        Args:
+            positions: (axial, angle) of each backbone, [n, 2]; may be traced.
+
+        Returns:
+            The positions within the tube, [n, 2].
 
         >>> Tube(10, 1, 2).reflect(jnp.array([[-1.0, 0.5], [23.0, 1.0]])).tolist()
         [[1.0, 0.5], [3.0, 1.0]]
@@ -99,10 +121,23 @@ class Tube(eqx.Module):
 
     @usual_modes()
     def random_positions(self, key: PRNGKeyArray, count: int) -> Float[Array, "n 2"]:
-        """`count` positions, uniform in the axial position and in the angle (paper, Section 4.2).
+        """Draw positions uniformly, the axial position in (0, L) and the angle in [0, 2 pi) (paper, section 4.2).
 
-        They are numbered along the tube: cells near each other are then kept near each other in memory, which
-        makes sweeps of 50,000 cells a seventh faster. Raises `ValueError` for a count below 1.
+        The backbones are numbered along the tube: neighboring cells are then neighbors in memory too, which makes
+        sweeps of 50,000 cells a seventh faster.
+
+        Args:
+            key: A random key of JAX.
+            count: n, the number of backbones.
+
+        Returns:
+            (axial, angle) of each backbone, [n, 2].
+
+        Raises:
+            ValueError: If the count is below 1.
+
+        >>> Tube(10, 1, 2).random_positions(jax.random.key(0), 5).shape
+        (5, 2)
         """
         if count < 1:
             raise ValueError(f"count={count} backbones fill no tissue; give at least 1")
@@ -161,7 +196,13 @@ def _random_positions(tube: Tube, key: PRNGKeyArray, count: int) -> Float[Array,
 
 
 def cells_for_unit_volume(tube: Tube) -> int:
-    """The number of cells whose mean volume is nearest to 1 (paper, Section 4.2), at least 1.
+    """The number of cells whose mean volume is nearest to 1 (paper, section 4.2).
+
+    Args:
+        tube: The tube that the cells fill.
+
+    Returns:
+        The volume of the tube, rounded, and at least 1.
 
     >>> cells_for_unit_volume(Tube(length=10, apical_radius=1, basal_radius=2))
     94

@@ -1,4 +1,4 @@
-"""The cells, measured: volume, lateral area, surfaces, perimeters, in windows of lines round each of them."""
+"""Measuring cells: volume, lateral area, surfaces and perimeters, in windows of lines round each backbone."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -28,9 +28,26 @@ BLOCK = 48  # cells measured at once, whole vectors of 16; of 64 or 128 rows evi
 
 
 class CellGeometry(eqx.Module):
-    """Sizes of each cell; those on the two surfaces only where the lines include the surfaces.
+    """The sizes of each cell (paper, section 3.1), in the unit of the tube's lengths, its square and its cube.
 
-    The errors are bounds that most cells keep, in units of the sizes: of whole tissues measured once.
+    Areas and perimeters on the two surfaces are None where the lines do not include the surfaces, and the errors are
+    None but for whole tissues that `measure_tissue` refined.
+
+    Attributes:
+        volume: V_i, the volume of each cell, [cells].
+        lateral_area: A_i, the area of its walls with other cells; surfaces and ends of the tube are not counted,
+            [cells].
+        apical_area: The area of its part of the apical surface, [cells].
+        basal_area: The area of its part of the basal surface, [cells].
+        apical_perimeter: The length of its edges with other cells on the apical surface, [cells]; the circles at the
+            ends of the tube are not counted.
+        basal_perimeter: The same on the basal surface, [cells].
+        touches_end: Whether it touches an end plane, x = 0 or x = L, [cells].
+        volume_error: An estimated bound of the error of its volume, in the unit of volume, which most cells keep,
+            [cells].
+        lateral_area_error: The same for its lateral area, in the unit of area, [cells].
+        tiling_defect: The largest relative error of the cells' lengths summed along a line: 0 to rounding where no
+            neighbor was missing.
     """
 
     volume: Float[Array, "cells"]
@@ -45,11 +62,18 @@ class CellGeometry(eqx.Module):
     tiling_defect: Float[Array, ""] | None = None
 
     def to_pandas(self) -> Any:
-        """The sizes as a pandas `DataFrame`, a row for each cell. Needs pandas."""
+        """The sizes as a pandas `DataFrame`, with one row for each cell.
+
+        Returns:
+            A table with a column for each size that was measured.
+
+        Raises:
+            ImportError: If pandas is not installed.
+        """
         return as_frame(self._columns())
 
     def _columns(self) -> dict[str, np.ndarray]:
-        """What was measured of each cell."""
+        """The sizes that were measured, by name."""
         columns = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "tiling_defect"}
         return {name: np.asarray(column) for name, column in columns.items() if column is not None}
 

@@ -1,4 +1,4 @@
-"""Whole diagrams: the sizes of all cells, once, or again and again while the tissue moves."""
+"""Measuring whole tissues: the sizes of all cells, once, or again and again while the tissue moves."""
 
 import functools
 import math
@@ -54,24 +54,36 @@ def measure_tissue(
     tolerance: float | None = None,
     refine: bool = True,
 ) -> CellGeometry:
-    """Sizes of every cell of a tissue with bounds of their errors, and the defect of an exact sum over cells.
+    """Measure every cell of a tissue, with bounds of the errors (paper, section 3.1).
 
-    The `tiling_defect` is the largest relative error of the cells' lengths summed along a line, `tiling_defect`: 0 to
-    rounding, as lists are grown until it is or they hold all cells, and 0 for up to 64 cells. So this takes
-    concrete arrays; inside `jit` call `measure_cells`. Positions as (axial, angle), [n, 2], in any form that
-    `as_positions` takes; a resolution as `as_resolution` does. Without `surfaces`, areas and perimeters on
-    them are left out.
+    Neighbor lists are grown on the host until the cells tile every line, so this takes concrete arrays; inside `jit`
+    call `measure_cells`. Where the errors may be above 1 % of the mean volume or 5 % of the mean lateral area, edges
+    are traced as by `find_connectivity`, and the cells are measured within them, in 64 bits, to about 1e-5. A tissue of
+    up to 64 cells is traced as a whole, whatever the resolution, and so is any tissue for a `tolerance` below 1 %: this
+    takes about a millisecond for each cell. Warns, naming the worst cells, where errors above the limits are left, and
+    where the volumes do not add up to the tube's.
 
-    `volume_error` and `lateral_area_error` bound the errors of most cells, not of all. Where they may be
-    above 1 % of the mean volume or 5 % of the mean lateral area, edges are traced as by `find_connectivity`
-    and cells measured within them, in 64 bits, to some 1e-5. So is every cell of a tissue of up to 64,
-    whatever the resolution, and of any with a `tolerance`, a fraction of both means, below 1 %: about a
-    millisecond a cell. Without `refine` all cells are measured by the rule of the resolution alone, and there
-    are no errors and no warnings.
+    Args:
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
+        tube: The tube that the backbones stand in.
+        resolution: How finely cells are measured: a preset or layers and lines.
+        surfaces: Whether areas and perimeters on the apical and basal surface are measured too.
+        tolerance: The largest error that is asked for, as a fraction of the mean volume and of the mean lateral area.
+        refine: Whether errors are estimated and cells beyond the limits measured anew. Without it all cells are
+            measured at the resolution alone, with no errors and no warnings.
 
-    Raises `ValueError` for positions that `as_positions` refuses, and for a tolerance that is not positive.
-    Warns, naming the worst cells, where errors above the limits are left, and where the volumes do not add up
-    to the tube's.
+    Returns:
+        The sizes of each cell. `volume_error` and `lateral_area_error` bound the errors of most cells, not of all.
+        `tiling_defect` is the largest relative error of the cells' lengths summed along a line: 0 to rounding, as lists
+        are grown until it is or until they hold all cells, and 0 where the whole tissue is traced.
+
+    Raises:
+        ValueError: If `as_positions` refuses the positions, or if the tolerance is not positive.
+
+    >>> tube = Tube(length=10, apical_radius=1, basal_radius=3)
+    >>> cells = measure_tissue(tube.random_positions(jax.random.key(0), 20), tube)
+    >>> bool(abs(cells.volume.sum() / tube.volume - 1) < 1e-4), cells.apical_perimeter.shape
+    (True, (20,))
     """
     if tolerance is not None and not tolerance > 0:
         raise ValueError(f"tolerance={tolerance} is not a positive fraction of the mean cell; try 0.001")
@@ -96,12 +108,12 @@ def measure_tissue(
 
 
 def as_limits(tolerance: float | None) -> tuple[float, float]:
-    """The errors of volume and lateral area, as fractions of their means, that a tolerance leaves."""
+    """The limits of the errors of volume and lateral area, as fractions of their means, for a tolerance."""
     return (min(tolerance, LIMITS[0]), min(tolerance, LIMITS[1])) if tolerance else LIMITS
 
 
 def doubts(cells: CellGeometry, tube: Tube, limits: tuple[float, float]) -> Iterator[str]:
-    """What a user should know before trusting the sizes: nothing where their errors are below the limits.
+    """The warnings about sizes that cannot be trusted; there is none where their errors are below the limits.
 
     The limits are fractions of the mean volume and of the mean lateral area.
     """
@@ -127,19 +139,26 @@ def doubts(cells: CellGeometry, tube: Tube, limits: tuple[float, float]) -> Iter
 
 
 class Kept(NamedTuple):
-    """What a `CellMeasurer` keeps: a short neighbor list, and all but the positions on every device."""
+    """The data that a `CellMeasurer` keeps: a short neighbor list, and all but the positions on every device."""
 
     neighbors: NeighborList
     placed: tuple[Tube, Lines, Array]
 
 
 class CellMeasurer:
-    """Measures a tissue that moves, on short candidate lists, kept as long as they lack nobody.
+    """Measures a tissue that moves, on short neighbor lists that are kept as long as they lack no neighbor.
 
-    Every cell is compared with the 22 candidates a side (more of more than 500 cells) that could soonest stop
-    it, and lengths are summed along lines as by `measure_tissue`. Where the sum shows that somebody is
-    lacking, lists are found anew, which `num_rebuilds` counts, and the cells are measured on these. Without
-    `check` there is no sum: then it is for the caller to know that the lists hold, as after small moves.
+    Every cell is compared with the 22 candidates on each side (more for more than 500 cells) that could bound it
+    soonest. The lengths of the cells are summed along lines, as by `measure_tissue`; where the sum shows that a
+    neighbor is missing, the lists are found anew, and the cells are measured on the new lists (paper, section 3.1).
+
+    Args:
+        tube: The tube that the backbones stand in.
+        resolution: How finely cells are measured: a preset or layers and lines.
+        surfaces: Whether areas and perimeters on the apical and basal surface are measured too.
+
+    Attributes:
+        num_rebuilds: How often lists were found anew, the first time included.
 
     >>> tube = Tube(length=40, apical_radius=2, basal_radius=6)
     >>> positions = tube.random_positions(jax.random.key(0), 100)
@@ -157,9 +176,18 @@ class CellMeasurer:
 
     @usual_modes()
     def measure(self, positions: Positions, check: bool = True) -> CellGeometry:
-        """Sizes of all cells of the tissue where it is now.
+        """Measure all cells of the tissue where it is now.
 
-        Raises `ValueError` for positions that `as_positions` refuses.
+        Args:
+            positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
+            check: Whether the sum along lines checks the lists. Without it the caller must know that they hold, as they
+                do after small moves.
+
+        Returns:
+            The sizes of each cell, without bounds of their errors.
+
+        Raises:
+            ValueError: If `as_positions` refuses the positions.
         """
         positions = as_positions(positions, self.tube)
         kept, lacks = self._kept, True
@@ -171,26 +199,26 @@ class CellMeasurer:
 
     @property
     def neighbors(self) -> NeighborList | None:
-        """The short neighbor list that is kept; None before anything was measured."""
+        """The short neighbor list that is kept, or None before the first measurement."""
         return self._kept.neighbors if self._kept else None
 
     def _renew(self, positions: Positions) -> Kept:
-        """Find complete lists, see how clear of each cell candidates are, and keep the few that are least."""
+        """Find complete lists, measure how far each candidate is from bounding the cell, and keep the nearest."""
         n, tube = len(positions), self.tube
-        # as wide on both sides as the mean cell at the apical surface: who is that level may change sides
+        # as wide on both sides as the mean cell at the apical surface: candidates that level may change sides
         margin = math.sqrt(2 * float(tube.apical_radius) * float(tube.length) / n)
         neighbors = list_neighbors(positions, tube, margin)
         sides = np.asarray(neighbors.candidates)
         lines = plan_lines(tube, n, self.resolution, surfaces=self.surfaces)
         looked_at = lines, sight_lines(tube, n, self.resolution)
         _, clear = _seeing()(positions, tube, looked_at, sides)
-        views = mutual_entries(sides)  # while the device looks
+        views = mutual_entries(sides)  # while the device measures
         clear = from_both(np.asarray(clear), views)
-        # all who stop a cell, as the check's lines might not see some; in steps, so that shapes are few
+        # all candidates that stop a cell, as the check's lines might miss one; in steps, so that shapes are few
         bounding = int((clear <= STOPS).sum(axis=2).max())
         count = min(max(shortlist_length(n), -(-bounding // CANDIDATES) * CANDIDATES), sides.shape[2])
         few = replace(neighbors, candidates=nearest_sides(sides, clear, count))
-        while count < sides.shape[2] and not few.holds(positions):  # some may need more
+        while count < sides.shape[2] and not few.holds(positions):  # a cell may need more
             count = min(2 * count, sides.shape[2])
             few = replace(neighbors, candidates=nearest_sides(sides, clear, count))
         self.num_rebuilds += 1
@@ -200,7 +228,7 @@ class CellMeasurer:
 
 
 def _measure(positions: Positions, rest: tuple[Tube, Lines, Array | np.ndarray]) -> CellGeometry:
-    """Sizes of all cells, these shared out among the devices of this process."""
+    """The sizes of all cells, measured on all devices of this process, an equal share on each."""
     devices, n = tuple(jax.local_devices()), len(positions)
     cells = np.minimum(np.arange(-(-n // len(devices)) * len(devices)), n - 1)  # the last may be one
     found, _ = measuring(devices)(cells.astype(np.int32), np.asarray(positions), *rest)
