@@ -8,11 +8,16 @@ from jaxtissue.system.cores import usable_cores
 
 
 def use_cores(most: int) -> None:
-    """Let JAX see each processor core as a device, at most so many, each with one thread.
+    """Let JAX see each processor core as a device, with one thread each.
 
-    A sweep is one small loop after another, over which threads wait for each other: two of them take a tenth
-    longer than one, now and then twice as long. Nothing changes where JAX_NUM_CPU_DEVICES and NPROC say how
-    many there are, or JAX has computed anything yet.
+    A sweep is one small loop after another, over which threads wait for each other: two threads take a tenth longer
+    than one, and at times twice as long. Nothing changes where JAX_NUM_CPU_DEVICES and NPROC are set, or after JAX has
+    computed anything.
+
+    Args:
+        most: The largest number of devices.
+
+    >>> use_cores(1)
     """
     os.environ.setdefault("NPROC", "1")  # threads of XLA, which reads it when it starts
     cores = usable_cores()

@@ -1,1 +1,1 @@
-"""Who owns which point: voxels and their labels, point location, spread; the exact path."""
+"""The cell that holds a point: voxels and their labels, point location, spread; and the exact path."""

@@ -1,4 +1,4 @@
-"""The diagram by search: which backbones are nearest to a point, and the volumes of the cells from that."""
+"""The diagram by search: the backbones nearest to a point, and the volumes of the cells from them."""
 
 from functools import partial
 
@@ -23,12 +23,23 @@ _UNROLL = 8  # backbones tried per turn of the innermost loop: one per turn take
 def nearest_backbones(
     points: Float[Array, "p 3"], backbones: Backbones, count: int = 1, block: int = 16384
 ) -> tuple[Int[Array, "p {count}"], Float[Array, "p {count}"]]:
-    """The `count` nearest backbones of each point and their distances, nearest first (paper, Section 2).
+    """Find the nearest backbones of each point, and their distances (paper, section 2.1).
 
-    The distance is the exact one to the segment, min over q on the backbone of |p - q|, straight through the
-    lumen if need be. Of equally near backbones the one with the lower index comes first. A `block` of points
-    is in work at a time and no array of points x backbones is made; time grows as points x backbones x count.
-    Raises `ValueError` for a count below 1 or above the number of backbones.
+    The distance is the exact one to the segment, min over q on the backbone of |p - q|, also straight through the
+    lumen. Of equally near backbones the one with the lower index comes first. Points are treated in blocks, so no array
+    of points x backbones is made; the time grows as points x backbones x count.
+
+    Args:
+        points: Cartesian coordinates, [p, 3], in the unit of the tube's lengths.
+        backbones: The backbones, as `Tube.embed` gives them.
+        count: How many backbones are found for each point.
+        block: How many points are treated at a time.
+
+    Returns:
+        The indices of the nearest backbones, nearest first, [p, count], and their distances, [p, count].
+
+    Raises:
+        ValueError: If the count is below 1 or above the number of backbones.
 
     >>> tube = Tube(length=10, apical_radius=1, basal_radius=2)
     >>> backbones = tube.embed(jnp.array([[2.0, 0.0], [5.0, 0.0], [9.0, 0.0]]))
@@ -53,7 +64,17 @@ def nearest_backbones(
 def label_volumes(
     labels: Int[Array, "p"], weights: Float[Array, "p"], count_cells: int
 ) -> Float[Array, "{count_cells}"]:
-    """Volume of each cell, V_i = sum of the weights (sample volumes) of the samples labeled i.
+    """The volume of each cell from labeled samples, V_i = sum of the weights of the samples with label i.
+
+    The paper measures cells in this way (section 3.1); `measure_tissue` is the accurate measurement.
+
+    Args:
+        labels: The cell that holds each sample, [p].
+        weights: The volume that each sample stands for, [p].
+        count_cells: The number of cells.
+
+    Returns:
+        The volume of each cell, [cells], in the unit of the weights.
 
     >>> label_volumes(jnp.array([0, 2, 0]), jnp.array([1.0, 2.0, 3.0]), 3).tolist()
     [4.0, 0.0, 2.0]
@@ -65,10 +86,22 @@ def label_volumes(
 
 @usual_modes()
 def label_image(positions: Float[ArrayLike, "n 2"], tube: Tube, spacing: float) -> UInt16[np.ndarray, "z y x"]:
-    """The tissue as an image of cell labels, order (z, y, x): 0 outside, cell index + 1 inside.
+    """Draw the tissue as an image of cell labels, in the order (z, y, x): 0 outside, cell index + 1 inside.
 
-    Voxels are laid out as in `sampling.image_mask`; each has the label of the cell that holds its center.
-    Raises `ValueError` for more cells than 16 bits can number.
+    Voxels are laid out as in `image_mask`; each has the label of the cell that holds its center, the cell of the
+    nearest backbone (paper, section 2.1).
+
+    Args:
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
+        tube: The tube that the backbones stand in.
+        spacing: The side of a voxel, in the unit of the tube's lengths.
+
+    Returns:
+        The image, [z, y, x], of 16-bit numbers.
+
+    Raises:
+        ValueError: If there are more cells than 16 bits can number, if `as_positions` refuses the positions, or if the
+            spacing is not positive or so wide that no center lies in the tissue.
 
     >>> label_image(jnp.array([[1.0, 0.0], [3.0, 0.0]]), Tube(4, 0.5, 2), 1.0)[2, 2].tolist()
     [1, 1, 2, 2]

@@ -60,12 +60,21 @@ class _Boxes(NamedTuple):
 def label_points(
     points: Float64[ArrayLike, "p 3"], positions: Float64[ArrayLike, "n 2"], tube: Tube
 ) -> Int32[np.ndarray, " p"]:
-    """The cell in which each point lies, that of the nearest backbone (paper, Section 2).
+    """Find the cell in which each point lies, that of the nearest backbone (paper, section 2.1).
 
-    The distance is the exact one to the segment, straight through the lumen if need be. Of equally near
-    backbones the one with the lower index is taken. Positions as (axial, angle), [n, 2].
+    The distance is the exact one to the segment, also straight through the lumen. Of equally near backbones the one
+    with the lower index is taken. The time grows as points + backbones.
 
-    Raises `ValueError` for points that are not finite, and positions that `as_positions` refuses.
+    Args:
+        points: Cartesian coordinates, [p, 3], in the unit of the tube's lengths.
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
+        tube: The tube that the backbones stand in.
+
+    Returns:
+        The index of the cell that holds each point, [p].
+
+    Raises:
+        ValueError: If a point is not finite, or if `as_positions` refuses the positions.
 
     >>> two, tube = np.array([[2.0, 0.0], [5.0, 0.0]]), Tube(length=10, apical_radius=1, basal_radius=2)
     >>> label_points([[3.0, 1.5, 0.0], [4.0, 0.0, 1.5]], two, tube).tolist()
@@ -96,11 +105,11 @@ def narrow(
     lists: Lists,
     cells: Stand,
 ) -> tuple[Lists, Float64[np.ndarray, " places"]]:
-    """Of the backbones listed for some balls those that can be nearest there; the centers' distances.
+    """Keep, of the backbones listed for each ball, those that can be nearest in it; and the distances of the centers.
 
-    With q the feet and j nearest to the center, i is nowhere nearer in a ball of radius r than j if
-    d_i^2 - d_j^2 > 2 r (|q_i - q_j| + r): the gradient of that difference is 2 (q_j - q_i), and a foot moves
-    no farther than its point. In a ball of radius 0 only j is left, of several the one with the lowest index.
+    With q the feet and j nearest to the center, backbone i is nowhere nearer than j in a ball of radius r if d_i^2 -
+    d_j^2 > 2 r (|q_i - q_j| + r): the gradient of that difference is 2 (q_j - q_i), and a foot moves no farther than
+    its point. In a ball of radius 0 only j is left, and of several the one with the lowest index.
     """
     cell, count = lists
     foot_x, axis_y, axis_z = cells.axial[cell], cells.cosine[cell], cells.sine[cell]

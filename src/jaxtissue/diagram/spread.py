@@ -16,11 +16,21 @@ from jaxtissue.geometry.tube import Tube
 
 @usual_modes()
 def separation(positions: Float[ArrayLike, "n 2"], tube: Tube) -> Float[Array, ""]:
-    """Smallest distance between two backbones, infinite for a single one (paper, Definition 1).
+    """The smallest distance between two backbones (paper, Definition 1).
 
-    Two radial segments are nearest at their apical ends, whatever the angle D between them:
-    distance^2 = dx^2 + (2 R_a sin(D/2))^2. Each backbone is compared with the next, second next, ... along
-    the axis, until that is too far along the axis alone; memory is O(n).
+    Two radial segments are nearest at their apical ends, whatever the angle D between them: distance^2 = dx^2 + (2 R_a
+    sin(D/2))^2. Each backbone is compared with the next ones along the axis until those are too far along the axis
+    alone; memory is O(n).
+
+    Args:
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes; may be traced.
+        tube: The tube that the backbones stand in.
+
+    Returns:
+        The distance, in the unit of the tube's lengths; infinite for a single backbone.
+
+    Raises:
+        ValueError: If `as_positions` refuses the positions.
 
     >>> round(float(separation(jnp.array([[0.0, 0.0], [3.0, 0.0], [4.0, jnp.pi]]), Tube(9, 1, 2))), 4)
     2.2361
@@ -53,14 +63,23 @@ def _separation(positions: Float[Array, "n 2"], tube: Tube) -> Float[Array, ""]:
 
 @usual_modes()
 def covering_radius(positions: Float[ArrayLike, "n 2"], tube: Tube, tolerance: float = 4e-4) -> Float[np.ndarray, ""]:
-    """Largest distance from a point of the tissue to its nearest backbone (paper, Definition 1).
+    """The largest distance from a point of the tissue to its nearest backbone (paper, Definition 1).
 
-    The distance to a radial backbone never falls on the way outwards, so the maximum is on the basal surface.
-    Distance changes by no more than the way gone: patches of it that may hold a larger one than was found are
-    split, until none is left. The result is the value at a point of the tissue, so never too large, and too
-    small by at most `tolerance`, relative. It has the precision that JAX works in.
+    The distance to a radial backbone never falls on the way outwards, so the maximum is on the basal surface. The
+    distance changes by no more than the way gone: patches of that surface that may hold a larger distance than was
+    found are split, until none is left.
 
-    Raises `ValueError` for a tolerance that is not positive, and positions that `as_positions` refuses.
+    Args:
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
+        tube: The tube that the backbones stand in.
+        tolerance: The relative error that is allowed.
+
+    Returns:
+        The distance, in the unit of the tube's lengths and the precision that JAX works in. It is attained at a point
+        of the tissue, so it is never too large, and too small by at most the relative `tolerance`.
+
+    Raises:
+        ValueError: If the tolerance is not positive, or if `as_positions` refuses the positions.
 
     >>> round(float(covering_radius(jnp.array([[5.0, 0.0]]), Tube(10, 1, 2))), 2)
     5.83
@@ -90,15 +109,26 @@ def covering_radius(positions: Float[ArrayLike, "n 2"], tube: Tube, tolerance: f
 def tightness(positions: Float[ArrayLike, "n 2"], tube: Tube) -> Float[np.ndarray, ""]:
     """The phi of a tight phi-backbone spread, covering radius / separation (paper, Definition 1).
 
-    It has no unit; 0 for a single backbone.
+    Args:
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
+        tube: The tube that the backbones stand in.
+
+    Returns:
+        The ratio, without a unit; 0 for a single backbone.
+
+    Raises:
+        ValueError: If `as_positions` refuses the positions.
+
+    >>> round(float(tightness(jnp.array([[5.0, 0.0], [5.0, jnp.pi]]), Tube(10, 1, 2))), 2)
+    2.74
     """
     return covering_radius(positions, tube) / np.asarray(separation(positions, tube))
 
 
 def neighbor_bound(tightness: float, backbone_length: float) -> float:
-    """Most neighbors a cell can have in any tissue, 8 (2 phi + 1/2)^3 + 6 (2 phi + 1/2)^2 l (paper, Lemma 1).
+    """The largest number of neighbors in any tissue, 8 (2 phi + 1/2)^3 + 6 (2 phi + 1/2)^2 l (paper, Lemma 1).
 
-    `tightness` is phi; `backbone_length` is l in units of the separation.
+    `tightness` is phi; `backbone_length` is l, in units of the separation.
 
     >>> neighbor_bound(1.0, 2.0)
     200.0
@@ -108,10 +138,10 @@ def neighbor_bound(tightness: float, backbone_length: float) -> float:
 
 
 def tube_neighbor_bound(tightness: float, hops: int = 1) -> float:
-    """Most cells within `hops` contacts of a cell of a tube, 4 (2 h phi + 1/2)^2.
+    """The largest number of cells within `hops` contacts of a cell of a tube, 4 (2 h phi + 1/2)^2.
 
-    One hop bounds the neighbors (paper, Lemma 2); more hops keep its constant, where the paper gives the
-    order O(phi^2 h^2) (Corollary 1). `tightness` is phi.
+    One hop bounds the neighbors (paper, Lemma 2). More hops keep its constant, where the paper gives the order O(phi^2
+    h^2) (Corollary 1). `tightness` is phi.
 
     >>> tube_neighbor_bound(1.0), tube_neighbor_bound(1.0, hops=2)
     (25.0, 81.0)

@@ -14,10 +14,20 @@ from jaxtissue.geometry.tube import Tube
 def cylindrical_voxels(
     tube: Tube, shape: tuple[int, int, int]
 ) -> tuple[Float[Array, "voxels 3"], Float[Array, "voxels"]]:
-    """Centers and exact volumes, r dx dr dt, of the voxels of an (axial, radial, angular) grid.
+    """The centers and exact volumes, r dx dr dt, of the voxels of an (axial, radial, angular) grid.
 
-    The last direction runs fastest. The grid fills the tissue, so the volumes sum to `tube.volume`. The sizes
-    of the tube may be traced, the shape may not. Raises `ValueError` for a shape that holds no voxel.
+    The grid fills the tissue, so the volumes sum to `tube.volume`. The paper counts such samples to measure cells
+    (section 3.1).
+
+    Args:
+        tube: The tube; its sizes may be traced.
+        shape: The numbers of voxels along the axis, in radius and in angle; not traced.
+
+    Returns:
+        Cartesian centers, [voxels, 3], of which the angle runs fastest, and the volumes, [voxels].
+
+    Raises:
+        ValueError: If the shape holds no voxel.
 
     >>> points, volumes = cylindrical_voxels(Tube(1, 1, 3), (1, 2, 4))
     >>> points.shape, round(float(volumes.sum()), 3), round(Tube(1, 1, 3).volume, 3)
@@ -36,10 +46,24 @@ def cylindrical_voxels(
 
 @usual_modes()
 def cartesian_voxels(tube: Tube, spacing: float) -> tuple[Float[Array, "voxels 3"], Float[Array, "voxels"]]:
-    """Centers and volumes, spacing^3, of the cubic voxels whose center lies in the tissue.
+    """The centers and volumes, spacing^3, of the cubic voxels whose centers lie in the tissue.
 
-    They are the `True` voxels of `image_mask(tube, spacing)`, in its order (x fastest). The sum of the
-    volumes misses `tube.volume` by the roughness of the surfaces. The sizes must be known (not traced).
+    They are the `True` voxels of `image_mask(tube, spacing)`, in its order (x fastest). The sum of the volumes differs
+    from `tube.volume`, as voxels do not follow the surfaces.
+
+    Args:
+        tube: The tube; its sizes must be known, not traced.
+        spacing: The side of a voxel, in the unit of the tube's lengths.
+
+    Returns:
+        Cartesian centers, [voxels, 3], and the volumes, [voxels].
+
+    Raises:
+        ValueError: If the spacing is not positive, or so wide that no center lies in the tissue.
+
+    >>> points, volumes = cartesian_voxels(Tube(2, 0.5, 2), 1.0)
+    >>> points.shape, float(volumes.sum()), round(Tube(2, 0.5, 2).volume, 2)
+    ((24, 3), 24.0, 23.56)
     """
     mask = image_mask(tube, spacing)
     dtype = jnp.result_type(tube.length, tube.apical_radius, tube.basal_radius, 0.0)
@@ -48,11 +72,13 @@ def cartesian_voxels(tube: Tube, spacing: float) -> tuple[Float[Array, "voxels 3
 
 
 def image_mask(tube: Tube, spacing: float) -> Bool[np.ndarray, "z y x"]:
-    """Which voxels of the smallest image around the tube have their center in the tissue; order (z, y, x).
+    """Mark the voxels of the smallest image round the tube that have their centers in the tissue; order (z, y, x).
 
-    Voxel (k, j, i) is centered at x = (i + 1/2) spacing, y = (j + 1/2 - ny/2) spacing and likewise z: the
-    image begins at the tube's end x = 0 and is centered on the axis. Raises `ValueError` for a spacing that
-    is not positive, or so wide that no center lies in the tissue.
+    Voxel (k, j, i) is centered at x = (i + 1/2) spacing, y = (j + 1/2 - ny/2) spacing and likewise z: the image begins
+    at the tube's end x = 0 and is centered on the axis.
+
+    Raises:
+        ValueError: If the spacing is not positive, or so wide that no center lies in the tissue.
 
     >>> image_mask(Tube(2, 0.5, 2), 1.0)[:, :, 0].astype(int)
     array([[0, 1, 1, 0],

@@ -1,4 +1,4 @@
-"""Annealing: spans of sweeps, lists and rounds renewed between them, at a schedule of temperatures."""
+"""Annealing: spans of sweeps, with neighbor lists and rounds renewed between them, by a schedule of temperatures."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -18,13 +18,7 @@ from jaxtissue.dynamics.local_updates import Neighborhoods, Scene, TissueState
 from jaxtissue.dynamics.metropolis import draw, warn_of_coarse_places
 from jaxtissue.dynamics.spans import Trail, energy_terms, fit_play, play
 from jaxtissue.dynamics.survey import TissueSurvey
-from jaxtissue.dynamics.sweep_log import (
-    Measured,
-    SweepRecord,
-    least_around,
-    shortlist_neighbors,
-    sweep_record,
-)
+from jaxtissue.dynamics.sweep_log import Measured, SweepRecord, least_around, shortlist_neighbors, sweep_record
 from jaxtissue.energy import Model, check_adhesion, check_energy, check_parameters, in_precision, require_finite
 from jaxtissue.geometry.positions import as_positions, check_count
 from jaxtissue.measurement.axial_lines import BackboneCoords
@@ -45,21 +39,43 @@ def renews_at(sweep: int) -> bool:
 
 
 class AnnealState(NamedTuple):
-    """All that a run needs to go on to the bit: sweeps done, backbones, and how long its lists have grown."""
+    """The state of a run, from which it goes on to the same bits.
+
+    Attributes:
+        sweep: The number of sweeps done.
+        positions: (axial, angle) of each backbone, [n, 2].
+        around: The room for the cells around each cell, as far as it has grown.
+    """
 
     sweep: int
     positions: Float[np.ndarray, "n 2"]
-    around: int = 0  # room for those around a cell
+    around: int = 0
 
 
 class Annealer:
-    """Runs a tissue through a schedule of temperatures, one sweep at a time.
+    """Anneals a tissue by Metropolis-Hastings sweeps (paper, sections 3.2 and 3.3).
 
-    `model` is what the energy depends on, `resolution` how finely cells are measured, `algorithm` "is-mh" or
-    "mh". `conflicts` is the rule of move independence: "near", two moves conflict if one cell touches both
-    movers, or could if one were moved as far as moves go on average; 2, 3 or 4 hops of contact; or the
-    paper's 8 phi. A run is a function of `seed`, of the state it starts from and of the kind of device alone.
-    Raises `ValueError` for what it can't run, such as an energy that overflows, in `advance` too.
+    A run depends on the seed, the state it starts from and the kind of device alone.
+
+    Args:
+        model: The energy; see `tube_model`.
+        resolution: How finely cells are measured: a preset or layers and lines.
+        algorithm: "is-mh", whose rounds are independent sets of moves, or "mh", with one move a round.
+        seed: The seed of the moves, 0 to 2^32 - 1.
+        temperatures: T of each sweep, [sweeps], in the unit of the energy.
+        conflicts: The rule of move independence. By "near" two moves conflict if one cell touches both movers, or could
+            if one moved by the mean length of a move; by "2-hop", "3-hop" and "4-hop" if their cells are within so many
+            contacts; by "8-phi" if their apical ends are closer than 8 covering radii, the paper's rule.
+
+    Raises:
+        ValueError: If an argument cannot be run, such as an energy that overflows; `advance` raises it too.
+
+    >>> import jaxtissue as jt
+    >>> tube = jt.Tube(length=12, apical_radius=1, basal_radius=3)
+    >>> annealer = Annealer(jt.tube_model(tube, 40), "draft", "is-mh", seed=0, temperatures=np.array([2.0, 1.0]))
+    >>> state, records, trail = annealer.advance(annealer.start(tube.random_positions(jax.random.key(0), 40)))
+    >>> state.sweep, len(records), trail.shape
+    (1, 1, (1, 40, 2))
     """
 
     def __init__(
@@ -91,15 +107,18 @@ class Annealer:
 
     @property
     def compile_seconds(self) -> float:
-        """How long this traced or waited for programs."""
+        """The seconds that this annealer traced or waited for programs."""
         return self._asker.compile_seconds
 
     @usual_modes()
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
-        """The state before the first sweep.
+        """The state before the first sweep. Warns where axial positions are too coarse for the moves in this precision.
 
-        Raises `ValueError` for positions that `as_positions` refuses, and for another number of cells than
-        the model's. Warns where axial places are too coarse for the moves in this precision.
+        Args:
+            positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
+
+        Raises:
+            ValueError: If `as_positions` refuses the positions, or if their number is not that of the model.
         """
         own = np.asarray(as_positions(positions, self.model.tube))
         check_count(len(own), self.model.tube, float(self.model.mean_volume))
@@ -109,19 +128,20 @@ class Annealer:
         return AnnealState(0, own)
 
     def record(self, state: AnnealState) -> SweepRecord:
-        """The row of a state as it is, such as the initial one."""
+        """The record of a state as it is, such as the initial one."""
         return record_together([self], [state])[0]
 
     def measure(self, positions: Float[np.ndarray, "n 2"]) -> CellGeometry:
-        """Volumes and lateral areas of the cells of a state, as sweeps measure them."""
+        """The volumes and lateral areas of the cells at positions [n, 2], measured as sweeps measure them."""
         last = AnnealState(len(self.temperatures), positions)  # no sweep after it is compiled ahead
         (measured,) = run_together([self._measure(last)])
         return CellGeometry(measured.tissue.volume, measured.tissue.lateral_area)
 
     def advance(self, state: AnnealState) -> Span:
-        """The sweeps up to the next at which lists are renewed, or to the schedule's last.
+        """Play the sweeps up to the next renewal of the neighbor lists, or up to the last of the schedule.
 
-        The new state, a row for each sweep, and the backbones after each.
+        Returns:
+            The new state, a record of each sweep, and the positions after each, [sweeps, n, 2].
         """
         return advance_together([self], [state])[0]
 
@@ -149,10 +169,10 @@ class Annealer:
         return after, rows, np.asarray(trail.positions)
 
     def _play(self, state: AnnealState, plan: Plan, sweeps: int) -> Task[tuple[AnnealState, Trail, float]]:
-        """Play the plan's rounds, sweep by sweep, on one set of candidate lists.
+        """Play the plan's rounds, sweep by sweep, on one set of neighbor lists.
 
-        Where a cell turns out to have lacked a candidate, it is listed and all is played again; in two
-        halves, with lists renewed between them, where there was no room for it.
+        Where a cell turns out to have lacked a candidate, it is listed and all is played again; in two halves, with
+        lists renewed between them, where there was no room for it.
         """
         measured = yield from self._measure(state)
         sides, clear = measured.sides.copy(), measured.urgency()
@@ -194,7 +214,7 @@ class Annealer:
         return AnnealState(state.sweep + sweeps, trail.positions[-1], near.around.shape[1]), trail
 
     def _missing(self, fresh: Measured, near: Neighborhoods, trail: Trail) -> Int[np.ndarray, "pairs 2"]:
-        """Cells not as they were carried along, and those who stop them without having been listed."""
+        """Pairs of a cell that differs from the one carried along and a neighbor that was not on its list."""
         off = np.abs(fresh.sizes[:, 0] - [trail.volume[-1], trail.lateral_area[-1]]).max(axis=0)
         cells = np.flatnonzero(off > self._exactness)
         return find_unlisted(cells, fresh.clear, fresh.sides, np.asarray(near.sides))
@@ -219,8 +239,7 @@ class Annealer:
         return self._surveyor.measure(state.positions, partial(self._expected, state))
 
     def _expected(self, state: AnnealState, sides: Int[np.ndarray, "n 2 candidates"]) -> Iterator[Ahead]:
-        """What will be asked for on such lists: what plays sweeps, with lists and rounds as wide as they are
-        likely to be, and energies."""
+        """The programs that will be asked for: sweeps with lists and rounds of the likely widths, and energies."""
         n, dtype, lines = len(state.positions), state.positions.dtype, self._lines(state)
         if state.sweep == len(self.temperatures):
             return
@@ -260,11 +279,11 @@ class Annealer:
 
 @usual_modes()
 def advance_together(annealers: Sequence[Annealer], states: Sequence[AnnealState], slots: int = 0) -> list[Span]:
-    """`Annealer.advance` for some replicas at once, each its own annealer, to the same bits as alone.
+    """`Annealer.advance` for several replicas at once, each its own annealer, to the same bits as alone.
 
-    Those alike in resolution, number of cells and energy function run in one compiled program, [replicas, n],
-    spread over the devices of this process; seeds, tubes, constants and temperatures are free. `slots`, at
-    least the number of replicas, is how many the program is compiled for.
+    Replicas alike in resolution, number of cells and energy function run in one compiled program, [replicas, n], spread
+    over the devices of this process; seeds, tubes, constants and temperatures are free. The program is compiled for
+    `slots` replicas, or for as many as there are.
     """
     count = len(annealers)
     tasks = [annealer._advance(state, count) for annealer, state in zip(annealers, states, strict=True)]
@@ -273,6 +292,6 @@ def advance_together(annealers: Sequence[Annealer], states: Sequence[AnnealState
 
 @usual_modes()
 def record_together(annealers: Sequence[Annealer], states: Sequence[AnnealState], slots: int = 0) -> list[SweepRecord]:
-    """`Annealer.record` for some replicas at once, as `advance_together`."""
+    """`Annealer.record` for several replicas at once, as `advance_together`."""
     tasks = [annealer._record(state) for annealer, state in zip(annealers, states, strict=True)]
     return run_together(tasks, slots)

@@ -36,9 +36,9 @@ def color(
 ) -> Int[np.ndarray, "rounds width"]:
     """Rounds of at most `width` moves without conflict, padded with -1.
 
-    Cells are taken in `order`, best along the tube; as the graph tells where none is given. Each joins the
-    first round that it may. Then the smallest rounds are emptied, one after the other, as long as all their
-    cells find room elsewhere.
+    Cells are taken in `order`, best along the tube; without one the graph gives the order. Each joins the first round
+    that it may. Then the smallest rounds are emptied, one after the other, as long as all their cells find room
+    elsewhere.
 
     >>> ring = sparse.csr_array([[0, 1, 0, 1], [1, 0, 1, 0], [0, 1, 0, 1], [1, 0, 1, 0]])
     >>> color(ring, 2, np.arange(4)).tolist()

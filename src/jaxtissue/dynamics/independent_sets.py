@@ -22,7 +22,7 @@ CAPACITY = 64  # rounds are padded to a multiple of it
 
 
 def one_by_one(seed: int, sweep: int, cells: int) -> Int[np.ndarray, "cells 1"]:
-    """One move a round, in a random order of the sweep's own."""
+    """One move a round, in a random order that differs from sweep to sweep."""
     return np.random.default_rng([seed, sweep]).permutation(cells).astype(np.int32)[:, None]
 
 
@@ -34,8 +34,8 @@ def independent_rounds(
 ) -> Int[np.ndarray, "rounds width"]:
     """Rounds of moves without conflict by a rule of `CONFLICTS`, padded with -1.
 
-    `contacts(within)` gives who touches whom, or could if one of them were moved by at most `within`. On a
-    CPU rounds of many moves are cut along the tube, and all are played in one stretch of it before the next.
+    `contacts(within)` gives the pairs of cells that touch, or could if one of them moved by at most `within`. On a CPU
+    rounds of many moves are cut along the tube, and all are played in one stretch of it before the next.
     """
     n = len(positions)
     if rule == "8-phi":
@@ -86,7 +86,7 @@ def cut(
 
 
 def padded_orders(plan: Sequence[Int[np.ndarray, "rounds width"]], sweeps: int, near: Neighborhoods) -> Order:
-    """The rounds of some sweeps, padded with sweeps of none: an `Order` of leaves [sweeps, ...]."""
+    """The rounds of one or more sweeps, padded with empty sweeps: an `Order` of leaves [sweeps, ...]."""
     capacity, width = -(-max(map(len, plan)) // CAPACITY) * CAPACITY, plan[0].shape[1]
     rounds = np.full((sweeps, capacity, width), -1, np.int32)
     for k, some in enumerate(plan):

@@ -1,4 +1,4 @@
-"""What a round of moves would change: which cells, what they become, what it costs, who is in whose way."""
+"""The changes of a round of moves: the cells that change, their new sizes, the energy differences, and collisions."""
 
 from typing import NamedTuple
 
@@ -29,14 +29,14 @@ SLACK = 1e-5  # of a reach and of R_b, by which a wall may miss a cell and count
 
 
 class Neighborhoods(NamedTuple):
-    """Who may bound whom, padded with the cell itself; fixed during a sweep."""
+    """The cells that may bound each other, padded with the cell itself; fixed during a sweep."""
 
-    around: Int[Array | np.ndarray, "n around"]  # all who have the cell among their candidates, or it has
+    around: Int[Array | np.ndarray, "n around"]  # cells that list the cell as a candidate, or that it lists
     sides: Int[Array | np.ndarray, "n 2 candidates"]  # candidates behind and ahead
 
 
 class Scene(NamedTuple):
-    """What stays the same during a sweep: the energy's model, who may bound whom, and the lines."""
+    """The data that stay the same during a sweep: energy model, cells that may bound each other, and lines."""
 
     model: Model
     near: Neighborhoods
@@ -44,7 +44,7 @@ class Scene(NamedTuple):
 
 
 class TissueState(NamedTuple):
-    """Backbones and what is known of their cells: sizes, and the reaches a move must undercut to matter."""
+    """Backbones and the sizes of their cells, with the reaches that a move must undercut to matter."""
 
     place: BackboneCoords
     volume: Float[Array, "n"]
@@ -54,7 +54,7 @@ class TissueState(NamedTuple):
 
 
 class Changes(NamedTuple):
-    """The cells a round's moves would change, packed: whose move, which cell, and what they become."""
+    """The cells that a round's moves would change, packed: the move, the cell, and its new sizes."""
 
     item: Int[Array, "items"]  # place in the table of movers and cells around them
     move: Int[Array, "items"]
@@ -74,17 +74,17 @@ def tissue_state(positions: Float[Array, "n 2"], seen: Survey) -> TissueState:
 
 
 class Round(NamedTuple):
-    """Moves of one round: of whom, from where to where, and who is around."""
+    """The moves of one round: the movers, their places before and after, and the cells around them."""
 
     movers: Int[Array, "width"]  # padded with -1
     members: Int[Array, "width around+1"]  # the cells around a mover, and (last) itself
-    around: BackboneCoords  # where those around are, [width, around]
+    around: BackboneCoords  # the cells around, [width, around]
     before: BackboneCoords  # the movers, [width]
     after: BackboneCoords
 
 
 def gather_round(movers: Array, place: BackboneCoords, proposed: BackboneCoords, near: Neighborhoods) -> Round:
-    """What a round's moves are about, gathered once."""
+    """The data of a round's moves, gathered once."""
     truth = movers[0] < len(near.around)
     cells = fusion_barrier(lambda: take_rows(near.around, movers), truth)
     posts_of = fusion_barrier(lambda: (pick(place, cells), pick(place, movers), pick(proposed, movers)), truth)
@@ -94,12 +94,11 @@ def gather_round(movers: Array, place: BackboneCoords, proposed: BackboneCoords,
 def find_changed(
     moves: Round, state: TissueState, scene: Scene
 ) -> tuple[Bool[Array, "width around+1"], Bool[Array, "width around+1"]]:
-    """Which of the cells around a mover, and (last) itself, its move changes, and which else it might.
+    """Find which of the cells around a mover, and (last) the mover itself, its move changes, and which it may change.
 
-    A cell changes where the mover stops it now, or would stop it short of its present reach, with a
-    tolerance: a cell more is measured for nothing, a cell less would be a stale one. That is not known of a
-    cell that goes on beyond its middle window, nor of one whose wall against the mover is parallel to the
-    axis.
+    A cell changes where the mover stops it now, or would stop it short of its present reach, with a tolerance: one cell
+    too many is measured in vain, one cell too few would be out of date. It is not known of a cell that goes on beyond
+    its middle window, nor of one whose wall against the mover is parallel to the axis.
     """
     lines = scene.lines
     tube, cells, own = scene.model.tube, moves.members[:, :-1], moves.around
@@ -108,7 +107,7 @@ def find_changed(
     grid = jax.tree.map(lambda table: jnp.pad(table[:, 0], spare), lines_in_frame(lines, reach.dtype))
 
     def against(place: BackboneCoords) -> tuple[RelativeCoords, Array, Array]:
-        """The movers as rivals of those around them, sooner by the tolerance; who are ahead, who level."""
+        """The movers as rivals of the cells around them, sooner by the tolerance; which are ahead, and which level."""
         mover = jax.tree.map(lambda column: column[:, None], place)
         gap, (versine, sine) = mover.axial - own.axial, turn_between(own, mover)
         floor = LEVEL * tube.apical_radius * jnp.sqrt(2 * versine)
@@ -135,7 +134,7 @@ def find_changed(
 
 
 def count_left(moves: Round, tube: Tube) -> Int[Array, ""]:
-    """Moves whose apical end lands in another cell (the paper would not propose them)."""
+    """The number of moves whose apical end lands in another cell (the paper would not propose them)."""
 
     def square(others: BackboneCoords, to: BackboneCoords) -> Array:
         versine, _ = turn_between(others, to)
@@ -147,7 +146,7 @@ def count_left(moves: Round, tube: Tube) -> Int[Array, ""]:
 
 
 def update_capacity(width: int, near: Neighborhoods) -> int:
-    """The most cells that the moves of a round may change together; all around one, at least."""
+    """The most cells that the moves of a round may change together; at least all cells around one mover."""
     around = near.around.shape[1] + 1
     return min(width * around, max(around, ROOM * width))
 
@@ -197,7 +196,7 @@ def measure_changes(
 ) -> Changes:
     """Measure every changed cell as if its one move were made, in as many blocks as it takes.
 
-    `reach` is where the new reaches go, at most so many: room used before, as clearing it takes long.
+    The new reaches are written to `reach`, which bounds their number: room used before, as clearing it takes long.
     """
     model, near, lines = scene
     size = len(reach)
@@ -232,7 +231,7 @@ def measure_changes(
 def drop_unchanged(
     changes: Changes, touched: Bool[Array, "width around+1"], state: TissueState, model: Model
 ) -> Bool[Array, "items"]:
-    """Which of the cells measured their move changes: those touched, and of the others those that differ."""
+    """Which measured cells their move changes: the touched ones, and of the others those that differ."""
     tiny = 1000 * jnp.finfo(state.volume.dtype).eps * model.mean_volume
     differs = jnp.abs(changes.volume - take_rows(state.volume, changes.cell)) > tiny
     differs |= jnp.abs(changes.lateral_area - take_rows(state.lateral_area, changes.cell)) > tiny

@@ -1,4 +1,4 @@
-"""What memory a run will take, told before it begins, and what the machine has."""
+"""An estimate of the memory that a run will take, and the memory of the machine."""
 
 import os
 
@@ -39,7 +39,7 @@ def estimate_memory(
 
 
 def machine_memory() -> int | None:
-    """Bytes of memory that the machine has; none where the system does not tell."""
+    """The memory of the machine in bytes, or None where the system does not tell."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):
@@ -47,7 +47,7 @@ def machine_memory() -> int | None:
 
 
 def memory_warning(needed: int, available: int | None) -> str | None:
-    """What to tell who asks for more memory than there is; nothing where it will do.
+    """A warning for a run that needs more memory than there is; None where the memory is enough.
 
     >>> print(memory_warning(int(20e9), int(16e9)).split(";")[0])
     the run needs about 20.0 GB of memory and the machine has 16.0 GB
@@ -62,7 +62,7 @@ def memory_warning(needed: int, available: int | None) -> str | None:
 
 
 def tell_memory(cells: int, tube: Tube, resolution: Resolution | str, float_bytes: int = 4, replicas: int = 1) -> str:
-    """What is said before a run: about how much memory it takes, or a warning if there is not so much."""
+    """The line printed before a run: about how much memory it takes, or a warning if there is not so much."""
     needed = estimate_memory(cells, tube, resolution, replicas, float_bytes)
     warning = memory_warning(needed, machine_memory())
     return f"warning: {warning}" if warning else f"memory: about {describe_bytes(needed)}"

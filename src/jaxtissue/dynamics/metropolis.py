@@ -34,7 +34,16 @@ COARSE = 0.02  # of the longest move
 
 
 class SweepInfo(NamedTuple):
-    """What happened in a sweep; `energy_change` sums the accepted local energy differences."""
+    """The counts of a sweep (paper, section 3.3).
+
+    Attributes:
+        accepted: The number of moves accepted.
+        collisions: The number of moves put off because an earlier move of their round changes a cell that they change
+            too.
+        left_cell: The number of moves proposed out of their own cell.
+        rounds: The number of rounds played.
+        energy_change: The sum of the accepted local energy differences.
+    """
 
     accepted: Int[Array, ""]
     collisions: Int[Array, ""]
@@ -44,10 +53,10 @@ class SweepInfo(NamedTuple):
 
 
 class Order(NamedTuple):
-    """The rounds of a sweep: who moves in each, padded with -1, and how many rounds of them are played.
+    """The rounds of a sweep: the movers of each, padded with -1, and the number of rounds that are played.
 
-    The moves of a round may change `update_capacity` cells together: what that function gives, or, where the lists are
-    padded, gave before.
+    The moves of a round may change at most `update_capacity` cells together, as the function of that name gives, or
+    gave before the lists were padded.
     """
 
     rounds: Int[Array | np.ndarray, "rounds width"]
@@ -56,16 +65,19 @@ class Order(NamedTuple):
 
 
 def draw(seed: int, sweep: int, cells: int, dtype: np.dtype) -> Float[np.ndarray, "3 n"]:
-    """Numbers uniform in [0, 1) for every cell in a sweep: how far it moves, whereto, and whether it may.
+    """Random numbers, uniform in [0, 1), for every cell in a sweep: distance, direction and acceptance of its move.
 
-    Drawn on the host: a generator would be a seventh of what is compiled for sweeps.
+    They are drawn on the host: a generator would be a seventh of what is compiled for sweeps.
     """
     return np.random.default_rng([seed, sweep, 1]).random((3, cells), dtype)
 
 
 def propose(draws: Float[Array, "2 n"], place: BackboneCoords, model: Model) -> BackboneCoords:
-    """A move for every cell: uniform in an apical disc of radius 0.25 sqrt(A / pi), A the mean apical area
-    per cell (paper, section 4.3), reflected at the tube's ends. Both ends of the backbone move together."""
+    """A move for every cell, uniform in a disc on the apical surface, reflected at the ends (paper, section 4.3).
+
+    The radius of the disc is 0.25 sqrt(A / pi), A the mean apical area per cell. Both ends of the backbone move
+    together.
+    """
     bound, (share, turn) = move_bound(model, len(place.axial)), draws
     distance, direction = bound * jnp.sqrt(share), 2 * np.pi * turn
     axial = place.axial + distance * jnp.cos(direction)
@@ -79,9 +91,9 @@ def move_bound(model: Model, cells: int) -> Float[Array, ""]:
 
 
 def warn_of_coarse_places(model: Model, cells: int, dtype: np.dtype) -> None:
-    """Warn where axial places are so far apart in this precision that moves are rounded by COARSE or more.
+    """Warn where axial positions are so far apart in this precision that moves are rounded by COARSE or more.
 
-    So are backbones then by a four times smaller part of their mean distance on the apical surface.
+    Backbones are then rounded by a fourth of that fraction of their mean distance on the apical surface.
     """
     apart, longest = float(np.spacing(dtype.type(model.tube.length))), float(move_bound(model, cells))
     if apart > COARSE * longest:
@@ -90,7 +102,7 @@ def warn_of_coarse_places(model: Model, cells: int, dtype: np.dtype) -> None:
 
 
 class Proposals(NamedTuple):
-    """The moves of a sweep, one for each cell: whereto, the chance drawn for it, and the temperature."""
+    """The moves of a sweep, one for each cell: the new place, the number drawn for acceptance, and the temperature."""
 
     place: BackboneCoords
     chance: Float[Array, "n"]
@@ -98,7 +110,7 @@ class Proposals(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What became of the moves of one round; `left_cell` counts them, the others are one value a move."""
+    """The outcome of the moves of one round; `left_cell` is a count, the others are one value for each move."""
 
     accepted: Bool[Array, "width"]
     collides: Bool[Array, "width"]
@@ -111,10 +123,10 @@ class Outcome(NamedTuple):
 def sweep(
     draws: Float[Array, "3 n"], state: TissueState, scene: Scene, temperature: Float[Array, ""], order: Order
 ) -> tuple[TissueState, SweepInfo]:
-    """One move for every cell, as drawn, round by round: propose, find what changes, measure it, decide.
+    """Play one move for every cell, as drawn, round by round: propose, find the changed cells, measure them, decide.
 
-    A move that would change a cell which an earlier move of its round changes too is put off to the rounds at
-    the end; so are moves that change more cells than there is room for.
+    A move that would change a cell which an earlier move of its round changes too is put off to the rounds at the end;
+    so are moves that change more cells than there is room for.
     """
     proposals = Proposals(propose(draws[:2], state.place, scene.model), draws[2], temperature)
     rounds, count, n, dtype = order.rounds, order.played, draws.shape[1], draws.dtype
@@ -160,7 +172,7 @@ def play_round(
     order: Order,
     reach: Float[Array, "room 2 row"],
 ) -> tuple[TissueState, Outcome, Float[Array, "room 2 row"]]:
-    """The state after the moves of one round, all decided at once, what became of them, and `reach` used."""
+    """The state after the moves of one round, all decided at once, their outcome, and `reach` as used."""
     place, chance, temperature = proposals
     moves = gather_round(movers, state.place, place, scene.near)
     touched, perhaps = find_changed(moves, state, scene)

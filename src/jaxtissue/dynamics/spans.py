@@ -1,4 +1,4 @@
-"""The compiled parts of annealing: a look at a whole tissue, and a span of sweeps on what was seen."""
+"""The compiled parts of annealing: the measurement of a whole tissue, and a span of sweeps on its lists."""
 
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from jaxtissue.neighbors.shortlists import distances, survey_tissue
 
 
 class Trail(NamedTuple):
-    """Sweep by sweep: sizes and backbones after each, and what it did, [sweeps, ...]."""
+    """The sizes, backbones and counts after each sweep of a span, [sweeps, ...]."""
 
     volume: Float[Array | np.ndarray, "sweeps n"]
     lateral_area: Float[Array | np.ndarray, "sweeps n"]
@@ -31,7 +31,7 @@ def survey_state(
     lines: tuple[Lines, Lines],
     sides: Int[Array, "n 2 candidates"],
 ) -> tuple[TissueState, Float[Array, "n 2 candidates"], Float[Array, "n 2 candidates"]]:
-    """The state of a whole tissue, how clear of each cell its candidates are, as `survey_tissue` tells, and how far."""
+    """The state of a whole tissue, the clearance of each candidate, as in `survey_tissue`, and its distance."""
     seen, clear = survey_tissue(positions, model.tube, lines, sides, model.adhesion)
     return tissue_state(positions, seen), clear, distances(positions, model.tube, sides)
 
@@ -43,9 +43,9 @@ def play(
     temperatures: Float[Array, "sweeps"],
     orders: Order,
 ) -> tuple[TissueState, Trail]:
-    """Sweeps one after another; the leaves of `orders` have an axis of sweeps.
+    """Play sweeps one after another; the leaves of `orders` have an axis of sweeps.
 
-    A sweep without rounds is none: so fewer sweeps than temperatures need no program of their own.
+    A sweep without rounds does nothing, so fewer sweeps than temperatures need no program of their own.
     """
 
     def one(state: TissueState, this: tuple) -> tuple[TissueState, Trail]:
@@ -58,7 +58,7 @@ def play(
 
 
 def fit_play(arguments: tuple, sizes: tuple[int, ...]) -> tuple:
-    """The arguments of `play` with lists of all around a cell and with rounds of the given lengths."""
+    """The arguments of `play` with cells around each cell and rounds padded to the given lengths."""
     draws, state, scene, temperatures, orders = arguments
     spare = ((0, 0), (0, sizes[1] - orders.rounds.shape[1]), (0, 0))
     near = scene.near._replace(around=pad_lists(scene.near.around, sizes[0]))
@@ -67,7 +67,7 @@ def fit_play(arguments: tuple, sizes: tuple[int, ...]) -> tuple:
 
 
 def energy_terms(cells: CellGeometry, model: Model) -> tuple[Array, Array, Array]:
-    """Each cell's energy after each sweep, [sweeps, n], and of it the paper's two terms."""
+    """The energy of each cell after each sweep, [sweeps, n], and the two terms of the paper's energy."""
     if model.parameters is not None:  # of the cells, the same after every sweep
         energy = jax.vmap(cell_energies, (0, None))(cells, model)
         return energy, volume_elasticity(cells, model), lateral_tension(cells, model)

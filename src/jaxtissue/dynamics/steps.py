@@ -1,4 +1,4 @@
-"""One sweep as a pure function of a key and a state, for those who write their own dynamics."""
+"""One sweep as a pure function of a key and a state, from which other dynamics can be written."""
 
 import functools
 from collections.abc import Callable
@@ -25,7 +25,7 @@ from jaxtissue.neighbors.shortlists import from_both, mutual_entries, sight_line
 
 
 class SweepState(NamedTuple):
-    """A tissue between two sweeps: its backbones and cells, and what sweeps are played on.
+    """A tissue between two sweeps: its backbones and cells, and the lists and lines that sweeps use.
 
     Attributes:
         tissue: The backbones and the sizes of their cells.
@@ -47,7 +47,7 @@ class SweepState(NamedTuple):
 
 @usual_modes()
 def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -> SweepState:
-    """The state before a first sweep: cells measured, neighbor lists allocated, moves cut into independent sets.
+    """The state before the first sweep: cells measured, neighbor lists allocated, moves cut into independent sets.
 
     Runs on the host. Lists hold for about ten sweeps of the default moves; then call it again with
     `state.positions`, as `Annealer` does, which also checks that they have held.
@@ -96,7 +96,7 @@ def step(
 ) -> tuple[SweepState, SweepInfo]:
     """One sweep of independent-set Metropolis-Hastings (paper, section 3.3): one move for every cell.
 
-    Pure: jit it, scan it, or vmap it over keys and states.
+    The function is pure: it may be jitted, scanned, or vmapped over keys and states. `init` has an example.
 
     Args:
         key: The random key of this sweep.
@@ -105,8 +105,8 @@ def step(
         temperature: T, in the unit of the energy; a move that costs dE > 0 is accepted with probability exp(-dE / T).
 
     Returns:
-        The state after the sweep, and what happened in it: moves accepted, moves put off because they would change
-        a cell that an earlier move of their set changes, rounds played, the sum of accepted energy differences.
+        The state after the sweep, and its counts: moves accepted, moves put off because they would change a cell that
+        an earlier move of their set changes, rounds played, the sum of accepted energy differences.
     """
     shape, dtype = state.tissue.volume.shape, state.tissue.volume.dtype
     draws = jax.random.uniform(key, (3, *shape), dtype)

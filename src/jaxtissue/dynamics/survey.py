@@ -1,4 +1,4 @@
-"""A tissue measured between sweeps, on complete candidate lists, and how clear of each cell these are."""
+"""A tissue measured between sweeps, on complete neighbor lists, with the clearance of each candidate."""
 
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -30,7 +30,7 @@ class TissueSurvey:
         self._lines: dict[int, tuple[Lines, Lines]] = {}  # for each number of cells
 
     def lines(self, cells: int) -> tuple[Lines, Lines]:
-        """The lines on which cells are measured, and those on which it is seen how clear candidates are."""
+        """The lines on which cells are measured, and the lines on which clearances are measured."""
         if cells not in self._lines:
             tube = self._model.tube
             self._lines[cells] = (
@@ -42,7 +42,7 @@ class TissueSurvey:
     def measure(self, positions: Positions, expected: Expected) -> Task[Measured]:
         """Measure the whole tissue.
 
-        The first time, what is `expected` to be asked for on its lists is compiled meanwhile.
+        The first time, the programs that are `expected` to be asked for on its lists are compiled meanwhile.
         """
         if self._last and self._last[0] is positions:
             return self._last[1]

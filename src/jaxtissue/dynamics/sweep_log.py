@@ -1,4 +1,4 @@
-"""What a run tells of each sweep, and a tissue as it is measured between sweeps."""
+"""The record of each sweep of a run, and a tissue as it is measured between sweeps."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,11 +14,11 @@ from jaxtissue.neighbors.shortlists import CANDIDATES, TOUCHES, around, nearest_
 
 ENOUGH = 200  # moves by which acceptance is judged
 ALL = 0.95  # of the moves, accepted: nearly all
-AROUND = 56  # who may be around a cell that has CANDIDATES on each side: room enough for most tissues
+AROUND = 56  # cells around a cell that has CANDIDATES on each side: room enough for most tissues
 
 
 class Measured(NamedTuple):
-    """A state measured: its cells, the candidates of each, and how clear of it and how far away these are."""
+    """A state measured: its cells, the candidates of each, and the clearance and distance of each candidate."""
 
     tissue: TissueState
     sides: Int[np.ndarray, "n 2 candidates"]
@@ -26,11 +26,11 @@ class Measured(NamedTuple):
     far: Float[np.ndarray, "n 2 candidates"]
 
     def contacts(self, within: float = 0.0) -> sparse.csr_array:
-        """Who stops whom, or could if one of them were moved by at most `within`: [n, n], symmetric."""
+        """The pairs of cells that touch, or could if one moved by at most `within`: [n, n], symmetric."""
         return contact_graph(self.sides, self.clear <= (within**2 if within else TOUCHES))
 
     def urgency(self) -> Float[np.ndarray, "n 2 candidates"]:
-        """By which shortlists are drawn up, the least first: clearances hold less long of who is farther."""
+        """The order of shortlists, the least first: the clearance of a farther candidate holds less long."""
         return self.clear * self.far
 
     @property
@@ -40,11 +40,23 @@ class Measured(NamedTuple):
 
 
 class SweepRecord(NamedTuple):
-    """One row of a run: the tissue after a sweep, and what the sweep did.
+    """The record of one sweep: the tissue after it, and the counts of its moves (paper, sections 3.2 and 3.3).
 
-    `drift` is the relative difference of the energy carried along by local differences to one measured afresh
-    with new candidate lists, where lists were renewed after the sweep, else 0; `left_cell` counts the moves
-    proposed out of their own cell. `seconds` of replicas that run together are shared out among them.
+    Attributes:
+        sweep: The number of the sweep, from 1; 0 for the initial state.
+        energy: The energy of the tissue after the sweep.
+        volume_energy: The volume term, the sum of K/2 (Vbar - V_i)^2.
+        area_energy: The area term, the sum of Lambda A_i.
+        temperature: T of the sweep, in the unit of the energy.
+        acceptance: The fraction of the proposed moves that were accepted, 0 to 1.
+        rounds: The number of rounds that were played.
+        collisions: The number of moves that were put off because an earlier move of their round changes a cell that
+            they change too.
+        seconds: The time of the sweep, without compiling; the time of replicas that run together is shared out among
+            them.
+        left_cell: The number of moves that were proposed out of their own cell.
+        drift: The relative difference between the energy that local differences carried along and the energy measured
+            anew with new neighbor lists; 0 where lists were not renewed after the sweep.
     """
 
     sweep: int
@@ -67,7 +79,7 @@ def sweep_record(
     temperatures: Float[np.ndarray, "sweeps"],
     info: SweepInfo | None = None,
 ) -> SweepRecord:
-    """The row of a sweep, the first of which has the number 1; of a state as it is where nothing was done."""
+    """The record of a sweep, of which the first has the number 1; without `info` that of a state as it is."""
     index = min(max(sweep - 1, 0), len(temperatures) - 1)
     accepted, collisions, left_cell, rounds, _ = (np.asarray(leaf).item() for leaf in info or 5 * [0])
     return SweepRecord(
@@ -84,13 +96,13 @@ def sweep_record(
 
 
 class AcceptanceWatch:
-    """Doubts an acceptance of a run's first moves that says that T does not fit the energy."""
+    """Warns where the acceptance of a run's first moves shows that T does not fit the energy."""
 
     def __init__(self, cells: int) -> None:
         self._cells, self._moves, self._accepted, self._done = cells, 0, 0.0, False
 
     def doubt(self, records: Sequence[SweepRecord]) -> str:
-        """A warning, once, after enough moves of which none, or nearly all, were accepted; else nothing."""
+        """A warning, once, after enough moves of which none, or nearly all, were accepted; otherwise nothing."""
         self._moves += self._cells * len(records)
         self._accepted += self._cells * sum(record.acceptance for record in records)
         if self._done or self._moves < ENOUGH:
@@ -104,7 +116,7 @@ class AcceptanceWatch:
 
 
 def least_around(cells: int) -> int:
-    """Room for those around each cell that is enough for most tissues, so that it seldom has to grow."""
+    """Room for the cells around each cell that is enough for most tissues, so that it seldom has to grow."""
     most = AROUND * shortlist_length(cells) / CANDIDATES
     return -(-int(min(most, cells)) // 8) * 8
 
@@ -114,9 +126,9 @@ def shortlist_neighbors(
     clear: Float[np.ndarray, "n 2 candidates"],
     width: int,
 ) -> Neighborhoods:
-    """The candidates on each side for a few sweeps, and all around each cell, at least `width`.
+    """The shortlists of a span of sweeps, and the cells around each cell, in at least `width` columns.
 
-    With room to grow, where that is not enough.
+    Where that is not enough, the width leaves room to grow.
     """
     width = max(width, least_around(len(sides)))
     few = nearest_sides(sides, clear, min(shortlist_length(len(sides)), sides.shape[2]))

@@ -31,7 +31,7 @@ class CellGeometry(eqx.Module):
     """The sizes of each cell (paper, section 3.1), in the unit of the tube's lengths, its square and its cube.
 
     Areas and perimeters on the two surfaces are None where the lines do not include the surfaces, and the errors are
-    None but for whole tissues that `measure_tissue` refined.
+    None except for whole tissues that `measure_tissue` refined.
 
     Attributes:
         volume: V_i, the volume of each cell, [cells].

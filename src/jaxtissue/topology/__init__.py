@@ -1,1 +1,1 @@
-"""Who touches whom: traced edges, contacts with areas, transitions, statistics."""
+"""Contacts of cells: traced edges, contacts with areas, transition points, statistics."""

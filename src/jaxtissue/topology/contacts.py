@@ -1,4 +1,4 @@
-"""Who touches whom: walls between cells, measured from the edges that bound them."""
+"""Contacts: the pairs of cells that share a wall, measured from the edges that bound the walls."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,28 +20,50 @@ ROUNDOFF = 1e-10  # of the mean wall: smaller ones are rounding
 
 @dataclass(frozen=True)
 class Contacts:
-    """The pairs of cells that share a wall, a < b, in order; areas and lengths in units of the tube's."""
+    """The pairs of cells that share a wall (paper, section 4.4), a < b, in order.
+
+    Attributes:
+        cells: n, the number of cells.
+        pairs: The two cells of each contact, [m, 2].
+        area: The area of each wall, [m], in the unit of the tube's lengths squared.
+        apical_length: The length of its edge on the apical surface, [m], in the unit of the tube's lengths; 0 where it
+            has none.
+        basal_length: The same on the basal surface, [m].
+        kind: One of `KINDS` for each contact, [m], by the surfaces that it reaches: "apical_basal" both, "apical" or
+            "basal" only that one, "internal" neither.
+        pieces: The number of connected pieces of each wall, [m].
+    """
 
     cells: int
     pairs: Int[np.ndarray, "m 2"]
-    area: Float[np.ndarray, " m"]  # of the wall
-    apical_length: Float[np.ndarray, " m"]  # of its edge on the apical surface, 0 where it has none
+    area: Float[np.ndarray, " m"]
+    apical_length: Float[np.ndarray, " m"]
     basal_length: Float[np.ndarray, " m"]
-    kind: np.ndarray  # of KINDS, by the surfaces on which they touch
-    pieces: Int[np.ndarray, " m"]  # connected parts of the wall
+    kind: np.ndarray
+    pieces: Int[np.ndarray, " m"]
 
     def degree(self, *kinds: str) -> Int[np.ndarray, " n"]:
-        """Number of neighbors of each cell, of the given kinds or of all."""
+        """The number of neighbors of each cell.
+
+        Args:
+            *kinds: The kinds of contacts that are counted; all if none is given.
+
+        Returns:
+            The numbers, [n].
+
+        >>> find_contacts([[2, 0], [3, 0], [3, 3.1]], Tube(5, 1, 2)).degree("apical_basal").tolist()
+        [2, 2, 2]
+        """
         chosen = self.pairs[np.isin(self.kind, kinds or KINDS)]
         return np.bincount(chosen.ravel(), minlength=self.cells)
 
 
 class Faces(NamedTuple):
-    """The faces of the cells, by the two labels they part (the second a bound on the tube's own surfaces),
-    and their rims: a row for every face that an edge bounds.
+    """The faces of the cells and their rims, one row for every face that an edge bounds.
 
-    Rows of a face that are joined at vertices are a part. The area of a part is positive if it runs round a
-    piece of a wall, and negative round a hole; it turns by 2 pi if it goes round the lumen.
+    A face is given by the two labels that it parts; on the tube's own surfaces the second is that of a bound. Rows of a
+    face that are joined at vertices are a part. The area of a part is positive if it runs round a piece of a wall, and
+    negative round a hole; it turns by 2 pi if it goes round the lumen.
     """
 
     labels: Int[np.ndarray, "f 2"]
@@ -56,7 +78,7 @@ class Faces(NamedTuple):
     volume: Float[np.ndarray, " n"]  # of the cells within them
 
     def is_wall(self, blur: float = 0.0) -> Bool[np.ndarray, " parts"]:
-        """Which parts are wider than what comes of walls that are off by `blur`."""
+        """Whether each part is wider than a wall of no width can seem where walls are off by `blur`."""
         return 2 * np.abs(self.area) > WIDE * blur * self.length
 
 
@@ -67,13 +89,23 @@ def find_contacts(
     edges: EdgeGraph | None = None,
     faces: Faces | None = None,
 ) -> Contacts:
-    """All pairs of cells with a common wall: its area, edges on the surfaces, kind and pieces.
+    """Find all pairs of cells with a common wall, its area, its edges on the surfaces, its kind and its pieces.
 
-    Areas are integrals round the rims of the walls, right to some 1e-6 of the mean wall. Walls below
-    `threshold`, a fraction of the mean wall, are left out, and so are those without a width, between cells
-    that meet in a line, as on a lattice. Positions as (axial, angle), [n, 2]; `edges` and their `faces` spare
-    tracing and measuring them anew. Raises `ValueError` for a threshold that is negative or not a number.
-    Paper, section 4.3.
+    Edges are traced in 64 bits, and areas are integrals round the rims of the walls, right to about 1e-6 of the mean
+    wall. Walls without a width, between cells that meet in a line, as on a lattice, are left out (paper, section 4.4).
+
+    Args:
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
+        tube: The tube that the backbones stand in.
+        threshold: Walls with less than this fraction of the mean wall area are left out.
+        edges: The edges of this tissue, where they have been traced before.
+        faces: The faces of these edges, where they have been measured before.
+
+    Returns:
+        The contacts, in the order of their cells.
+
+    Raises:
+        ValueError: If `as_positions` refuses the positions, or if the threshold is negative or not a number.
 
     >>> contacts = find_contacts([[2, 0], [3, 0], [3, 3.1]], Tube(5, 1, 2))
     >>> contacts.pairs.tolist(), contacts.kind.tolist()
@@ -99,7 +131,7 @@ def find_contacts(
 
 
 def find_faces(edges: EdgeGraph) -> Faces:
-    """The faces of all cells from the edges round them."""
+    """The faces of all cells, from the edges that bound them."""
     n, labels, rims = edges.cells, edges.edge_labels, measure_rims(edges, edges.bisectors)
     sides = np.concatenate([labels[:, [one, two]] for one, two, _ in SIDES])
     rows = np.flatnonzero(sides[:, 0] < n)

@@ -19,12 +19,14 @@ BENDS = 6  # steps to where a foot leaves its backbone's end
 MET = 1e-5  # of a segment: the last of them at most, or it is not parted there
 ENOUGH = 1e-7  # of a step: Newton's next step is its square
 CROWD = 512  # fronts worth a thread
-RUNNING, CLOSED, FAILED = -1, -2, -3  # nobody met yet; back where the front began; the step was too long
+RUNNING, CLOSED, FAILED = -1, -2, -3  # no label met yet; back where the front began; the step was too long
 
 
 class Fronts(NamedTuple):
-    """Points on edges, where they go, and what they left: 4 vertex + place of the label not on the edge, or
-    -1 within an edge."""
+    """Points on edges, their directions, and their ends.
+
+    An end is 4 vertex + place of the label not on the edge, or -1 within an edge.
+    """
 
     number: Int[np.ndarray, " m"]
     end: Int[np.ndarray, " m"]
@@ -84,7 +86,7 @@ def widest(
 
 
 def step(fronts: Fronts, bisectors: Bisectors) -> tuple[Fronts, Int[np.ndarray, " m"]]:
-    """One step of every front, and who is met: a label, GOING, HOME, or LOST: to be tried shorter."""
+    """One step of every front, and the label that it met, or GOING, HOME, or LOST: to be tried shorter."""
     old, longest = fronts.point, fronts.longest
     size = np.minimum(longest, np.maximum(fronts.safe, longest / 20))
     parts = in_threads(lambda some: advance(fronts.of(some), size[some], bisectors), cut(len(old), CROWD))
@@ -108,9 +110,9 @@ def passes(target: np.ndarray, start: np.ndarray, stop: np.ndarray, within: np.n
 
 
 def advance(fronts: Fronts, size: np.ndarray, bisectors: Bisectors) -> tuple[Fronts, np.ndarray]:
-    """The fronts a step on, and who is met.
+    """The fronts a step on, and the labels that they met.
 
-    Whoever leads at the new point ends the edge before it, at the vertex with them.
+    A label that leads at the new point ends the edge before it, at the vertex with it.
     """
     near, tie, start, labels = TOUCH * bisectors.size, TIE * bisectors.size, fronts.point, fronts.labels
     far = size[:, None]
@@ -123,7 +125,7 @@ def advance(fronts: Fronts, size: np.ndarray, bisectors: Bisectors) -> tuple[Fro
     reach = widest(point, ahead, turn, bisectors)
     rival, beyond, safe = bisectors.look(point, labels, ahead, turn, reach)
     open_ = np.flatnonzero((met == RUNNING) & (beyond > tie))
-    for _ in range(8):  # each vertex lies before the last, until nobody leads there
+    for _ in range(8):  # each vertex lies before the last, until no label leads there
         met[open_] = rival[open_]
         four = np.append(labels[open_], met[open_, None], axis=1)
         point[open_], found = bisectors.solve(point[open_], four, np.full(len(open_), near))

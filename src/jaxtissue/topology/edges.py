@@ -27,11 +27,11 @@ TOGETHER = 64  # seeds to follow at first, at least: fewer fronts take hardly le
 
 
 class EdgeGraph(NamedTuple):
-    """Vertices and edges of a tissue of n cells by their sorted labels: cells, and n .. n + 3 the apical and
-    basal surface and the ends x = 0 and x = L.
+    """The vertices and edges of a tissue of n cells by their sorted labels.
 
-    Those with one cell are arcs of the circles at the tube's ends. Edges come in short segments of given ends
-    and unit tangents, all along grad lead_1 x grad lead_2 over the edge's first label.
+    The labels are those of cells, and n .. n + 3 for the apical and basal surface and the ends x = 0 and x = L. Edges
+    with one cell are arcs of the circles at the tube's ends. Edges come in short segments of given ends and unit
+    tangents, all along grad lead_1 x grad lead_2 over the edge's first label.
     """
 
     cells: int
@@ -48,12 +48,11 @@ class EdgeGraph(NamedTuple):
 
 
 def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
-    """All edges and vertices of the cells of backbones at (axial, angle) positions, [n, 2], in float64.
+    """Trace all edges and vertices of the cells of backbones at (axial, angle) positions, [n, 2], in 64 bits.
 
-    Every step looks at all backbones near enough to lead; where an end stays open, all is traced again in
-    shorter steps. Where five labels meet, as on lattices, tiny weights on the
-    squared distances of the cells concerned part them into vertices of four. Warns of open ends. Paper,
-    section 4.1.
+    Every step looks at all backbones near enough to lead; where an end stays open, all is traced again in shorter
+    steps. Where five labels meet, as on lattices, tiny weights on the squared distances of the cells concerned part
+    them into vertices of four. Warns of open ends. Paper, section 4.1.
     """
     place = as_positions(positions, tube, np.float64)
     plain = Bisectors(place, tube)
@@ -96,7 +95,7 @@ def _settle(graph: EdgeGraph, bisectors: Bisectors, weights: Float[np.ndarray, "
 
 
 def _trace(bisectors: Bisectors) -> tuple[EdgeGraph, Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """The graph, the cells at vertices where a fifth label ties, and those whose edges were lost."""
+    """The graph, the cells at vertices where a fifth label ties, and the cells whose edges were lost."""
     graph, seeds = _Growing(bisectors), seed(bisectors)
     apart = min(FIRST, 1 + len(seeds.point) // TOGETHER)
     graph.grow(Seeds(*(column[::apart] for column in seeds)))
@@ -154,7 +153,7 @@ class _Growing:
             end = 4 * self._vertex(point, tuple(labels)) + omitted
             if left < 0 or left in self.closed:
                 continue
-            if end in self.closed:  # one of the two went astray: whose other end stays open, or is met rightly
+            if end in self.closed:  # one of the two went astray: its other end stays open, or is met rightly
                 continue
             self.closed[left], self.closed[end] = end, left
             self.edges.append((number, left, end))
@@ -204,7 +203,7 @@ class _Growing:
         return np.bincount(row, near, len(wanted)) > 0
 
     def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The pairs of cells with a wall, and a ball for each that holds whoever comes as near to its rim."""
+        """The pairs of cells with a wall, and for each a ball that holds every backbone as near to its rim as they."""
         labels, front, points = self._segments()
         place, three = points.mean(axis=1), labels[front]
         foot, out = (

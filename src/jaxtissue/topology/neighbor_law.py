@@ -22,24 +22,41 @@ EXTREME = 50.0  # ln of a surface ratio that no tissue has
 
 @dataclass(frozen=True)
 class NeighborLaw:
-    """Mean neighbors against the surface ratio s = R_b / R_a: a logistic function of ln s.
+    """The mean number of neighbors as a logistic function of ln s, s = R_b / R_a the surface ratio.
 
-    N(s) = low + (high - low) / (1 + exp(-steepness (ln s - ln middle))); "Flintstones' law" (paper, Fig. 12).
+    N(s) = low + (high - low) / (1 + exp(-steepness (ln s - ln middle))); "Flintstones' law" (paper, section 4.4, Fig.
+    12).
+
+    Attributes:
+        low: The limit of N as s goes to 0.
+        high: The limit of N as s grows without bound.
+        middle: The surface ratio at which N is half way between the limits.
+        steepness: The steepness in ln s, without a unit.
+        standard_errors: Those of the four by name; not numbers for as many points as parameters.
+        residual: The root mean square of the differences to the points.
+        r2: The fraction of the variance that the law explains.
 
     >>> NeighborLaw(6, 10, 5, 1, {}, 0, 1).predict([5, 1e9]).round(3).tolist()
     [8.0, 10.0]
     """
 
-    low: float  # as s -> 0
-    high: float  # as s grows without bound
-    middle: float  # the ratio half way between
+    low: float
+    high: float
+    middle: float
     steepness: float
-    standard_errors: dict[str, float]  # of the four, not numbers for as many points as parameters
-    residual: float  # root mean square
+    standard_errors: dict[str, float]
+    residual: float
     r2: float
 
     def predict(self, ratios: Float[ArrayLike, "..."]) -> Float[np.ndarray, "..."]:
-        """Mean neighbors at surface ratios."""
+        """The mean number of neighbors at surface ratios.
+
+        Args:
+            ratios: R_b / R_a, above 0, of any shape.
+
+        Returns:
+            N(s), of the same shape.
+        """
         shape = self.low, self.high, math.log(self.middle), self.steepness
         return _logistic(np.log(np.asarray(ratios, float)), *shape)
 
@@ -47,10 +64,18 @@ class NeighborLaw:
 
 
 def fit_neighbor_law(ratios: Float[ArrayLike, " k"], neighbors: Float[ArrayLike, " k"]) -> NeighborLaw:
-    """The neighbor law by least squares, each point with the same weight (paper, Fig. 12).
+    """Fit the neighbor law by least squares, each point with the same weight (paper, section 4.4, Fig. 12).
 
-    Raises `ValueError` for fewer than four ratios, values that are not finite, ratios not above 0, and points
-    that no logistic function fits, such as those that do not level off.
+    Args:
+        ratios: The surface ratios R_b / R_a, [k], at least four different ones.
+        neighbors: The mean number of neighbors at each, [k].
+
+    Returns:
+        The law, with standard errors.
+
+    Raises:
+        ValueError: If there are fewer than four ratios, if values are not finite or ratios not above 0, or if no
+            logistic function fits the points, such as points that do not level off.
 
     >>> law = fit_neighbor_law([1, 2, 5, 10, 50], NeighborLaw(6, 10, 5, 1, {}, 0, 1)([1, 2, 5, 10, 50]))
     >>> round(law.low, 3), round(law.high, 3), round(law.middle, 3), round(law.steepness, 3)
@@ -96,11 +121,23 @@ def bound_ratios(
     connectivity: Connectivity,
     hops: Sequence[int] = (1, 2, 3),
 ) -> list[dict[str, Any]]:
-    """How near a tissue comes to the bounds of Lemma 1, Lemma 2 and Corollary 1: measured / bound, at most 1.
+    """Compare a tissue with the bounds of Lemma 1, Lemma 2 and Corollary 1 (paper, section 2).
 
-    Measured is the largest number over the cells of neighbors, or of other cells within `hops` contacts
-    (Corollary 1, with the constant of Lemma 2: 4 (2 h phi + 1/2)^2). Rows with `bound`, `hops`, `measured`,
-    `limit`, `ratio` and `tightness`, phi. Positions as (axial, angle), [n, 2]. Paper, section 2.
+    The measured value is the largest number, over the cells, of neighbors, or of other cells within `hops` contacts.
+    Corollary 1 gives an order only; it is taken with the constant of Lemma 2, 4 (2 h phi + 1/2)^2.
+
+    Args:
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
+        tube: The tube that the backbones stand in.
+        connectivity: What `find_connectivity` gave for this tissue.
+        hops: The numbers of contacts, h, that Corollary 1 is tried for.
+
+    Returns:
+        A row for each bound, with `bound`, `hops`, `measured`, `limit`, `ratio` = measured / limit, which is at most 1,
+        and `tightness`, phi.
+
+    Raises:
+        ValueError: If `as_positions` refuses the positions.
 
     >>> from jaxtissue import find_connectivity
     >>> place, tube = [[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2)

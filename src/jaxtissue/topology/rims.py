@@ -44,8 +44,11 @@ NODES, WEIGHTS, SLOPES = _lobatto()
 
 
 class Rims(NamedTuple):
-    """The length of each edge, and for each of its faces, as in SIDES, what it adds to their area and how far
-    the face turns about the axis along it; the volume of each cell."""
+    """The length of each edge, what it adds to each of its faces, and the volume of each cell.
+
+    For each of its faces, as in SIDES: what the edge adds to the area, and how far the face turns about the axis along
+    it.
+    """
 
     length: Float[np.ndarray, " e"]
     area: Float[np.ndarray, "3 e"]
@@ -120,8 +123,10 @@ def _swept(
     pair: Int[np.ndarray, "m 2"],
     bisectors: Bisectors,
 ) -> Float[np.ndarray, "3 m"]:
-    """What segments with the face of a pair on their left, seen against the normal to the second label, add
-    to its area, and to the volumes of the two cells."""
+    """The sums over segments that have the face of a pair on their left, seen against the normal to the second label.
+
+    The rows are what they add to its area and to the volumes of the two cells.
+    """
     n, swept = bisectors.count, np.zeros((3, len(point)))
     bound, radius = pair[:, 1] - n, np.hypot(point[..., 1], point[..., 2])
     spin, rise = (np.einsum("ij,mj->mi", SLOPES, value) for value in (turn, radius))

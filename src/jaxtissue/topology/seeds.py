@@ -45,9 +45,9 @@ def seed(bisectors: Bisectors) -> Seeds:
 def first_wall(
     place: Float[np.ndarray, "m 3"], own: Int[np.ndarray, " m"], side: int, bisectors: Bisectors
 ) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """How far along x, on one side of points on their own backbones, the first wall is, and whose.
+    """The distance along x, on one side of points on their own backbones, to the first wall, and its other cell.
 
-    A wall lies more than half-way to its backbone: those are looked through by axial place until it is so.
+    A wall lies more than half-way to its backbone: backbones are looked through by axial position until it is so.
     """
     rank = np.empty(bisectors.count, int)
     rank[bisectors.order] = np.arange(bisectors.count)
@@ -75,13 +75,12 @@ def seed_lenses(
     reach: Float[np.ndarray, " w"],
     bisectors: Bisectors,
 ) -> Seeds:
-    """Points on the edges of lenses within the walls of pairs, in balls that hold the walls and whoever comes
-    as near to them as their own cells.
+    """Points on the edges of lenses within the walls of pairs of cells.
 
-    On the wall of a and b, d_c^2 - d_a^2 = f_c - (1 - k) f_a - k f_b + const with k = (x_c - x_a) / (x_b -
-    x_a) and d_j^2 = (x - x_j)^2 + f_j. A minimum has 0 < k < 1, the foot of c at its apical end and those of
-    a and b above theirs; there half the second derivative is (1 - k) u_a u_a^T + k u_b u_b^T, with u_j the
-    directions of the backbones.
+    The balls hold the walls and every backbone that comes as near to them as their own cells. On the wall of a and b,
+    d_c^2 - d_a^2 = f_c - (1 - k) f_a - k f_b + const with k = (x_c - x_a) / (x_b - x_a) and d_j^2 = (x - x_j)^2 + f_j.
+    A minimum has 0 < k < 1, the foot of c at its apical end and those of a and b above theirs; there half the second
+    derivative is (1 - k) u_a u_a^T + k u_b u_b^T, with u_j the directions of the backbones.
     """
     way = np.stack([bisectors.cosine, bisectors.sine], axis=1)
     tips = np.concatenate([bisectors.axial[:, None], bisectors.inner * way], axis=1)[: bisectors.count]
@@ -113,7 +112,7 @@ def seed_lenses(
 
 
 def _rays(point: np.ndarray, triple: np.ndarray, half: np.ndarray, depth: np.ndarray, bisectors: Bisectors) -> Seeds:
-    """Where rays from the middle of lenses meet their edges, if nobody is nearer there."""
+    """The points where rays from the middle of lenses meet their edges, if no other backbone is nearer there."""
     turn = 2 * np.pi * np.arange(RAYS) / RAYS
     ray = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     far = np.sqrt(depth[:, None] / np.einsum("ri,mij,rj->mr", ray, half, ray))

@@ -1,4 +1,4 @@
-"""Statistics of who touches whom: neighbors by kind, scutoids, polygon classes, the graph."""
+"""Statistics of contacts: neighbors by kind, scutoids, polygon classes, the contact graph."""
 
 import math
 from collections.abc import Mapping
@@ -21,21 +21,39 @@ SURFACES = {"apical": ("apical_basal", "apical"), "basal": ("apical_basal", "bas
 
 @dataclass(frozen=True)
 class Connectivity:
-    """All that is known of who touches whom in one tissue, from one tracing of its edges."""
+    """The contacts, transition points, forms and sizes of the cells of a tissue, from one tracing of its edges.
+
+    Attributes:
+        contacts: The pairs of cells that share a wall.
+        transitions: The transition points.
+        forms: Which cells go round the lumen, and the number of pieces of each cell.
+        is_end: Whether each cell touches an end plane, x = 0 or x = L, [n].
+        sizes: The sizes of all cells, in 64 bits, or None where edges could not be followed.
+    """
 
     contacts: Contacts
     transitions: Transitions
     forms: CellForms
-    is_end: Bool[np.ndarray, " n"]  # the cell touches an end plane, x = 0 or x = L
-    sizes: TracedSizes | None = None  # of all cells, in 64 bits; None where edges are missing
+    is_end: Bool[np.ndarray, " n"]
+    sizes: TracedSizes | None = None
 
 
 def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold: float = 0.0) -> Connectivity:
-    """Contacts, transition points, forms, end cells and sizes of a tissue, its edges traced once, in float64.
+    """Find contacts, transition points, forms, end cells and sizes of a tissue (paper, section 4.4).
 
-    Positions as (axial, angle), [n, 2], in any form that `as_positions` takes; walls below `threshold`, a
-    fraction of the mean wall, are no contacts, and leave the rest as it is. Raises `ValueError` for positions
-    that `as_positions` refuses and a threshold that is negative or not a number. Paper, section 4.3.
+    The edges of the diagram are traced once, in 64 bits.
+
+    Args:
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
+        tube: The tube that the backbones stand in.
+        threshold: Walls with less than this fraction of the mean wall area are no contacts; the other results stay as
+            they are.
+
+    Returns:
+        All of these.
+
+    Raises:
+        ValueError: If `as_positions` refuses the positions, or if the threshold is negative or not a number.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> len(four.contacts.pairs), four.transitions.per_cell.tolist(), four.is_end.tolist()
@@ -56,7 +74,14 @@ def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold:
 
 
 def tabulate_connectivity(connectivity: Connectivity) -> dict[str, np.ndarray]:
-    """The columns that connectivity adds to the table of cells, one value a cell.
+    """The columns that connectivity adds to the table of cells (paper, section 4.4).
+
+    Args:
+        connectivity: What `find_connectivity` gave.
+
+    Returns:
+        Columns [n] by name: `neighbors`; of these `apical_basal_neighbors`, `apical_neighbors`, `basal_neighbors` and
+        `internal_neighbors`; `transitions`, `is_scutoid`, `is_ring` and `pieces`.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> tabulate_connectivity(four)["neighbors"].tolist()
@@ -71,11 +96,17 @@ def tabulate_connectivity(connectivity: Connectivity) -> dict[str, np.ndarray]:
 
 
 def summarize_connectivity(connectivity: Connectivity, inner_only: bool = False) -> dict[str, float]:
-    """Means over the cells, or over those that touch no end: neighbors, degrees, transitions, fractions.
+    """Means over the cells of neighbors, degrees and transition points, and fractions of cells (paper, section 4.4).
 
-    `identity_residual` is mean neighbors - mean apical degree - mean transitions / 2: 0 where no cell wraps
-    round the lumen, no two cells touch twice, and no threshold or end leaves out a part. `transitions_max` is
-    the largest count; all are not numbers where there is no cell left. Paper, section 4.3.
+    `identity_residual` is mean neighbors - mean apical degree - mean transition points / 2. It is 0 where no cell wraps
+    round the lumen, no two cells touch twice, and no threshold or end leaves out a part.
+
+    Args:
+        connectivity: What `find_connectivity` gave.
+        inner_only: Whether cells that touch an end of the tube are left out.
+
+    Returns:
+        Values by name; `transitions_max` is the largest count of a cell. All are not numbers where no cell is left.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> summary = summarize_connectivity(four)
@@ -105,15 +136,25 @@ def polygon_classes(
     surface: str = "apical",
     inner_only: bool = True,
 ) -> dict[str, np.ndarray]:
-    """Cells by their number of sides on a surface: how many, how large, with how many-sided neighbors.
+    """Group cells by their number of sides on a surface: how many, how large, and with how many-sided neighbors.
 
-    A side is a neighbor that touches on the `surface`, "apical" or "basal", or anywhere for "all"; `areas`
-    are the cells' on it. A row for each number of `sides`, rising: `count` and `fraction` of the cells,
-    `relative_area`, mean area / mean area of all (Lewis), `neighbor_sides`, m(n), and
-    `sides_times_neighbor_sides`, n m(n) (Aboav-Weaire: linear in n). m(n) is the mean over all pairs of a
-    cell of the class and a neighbor, not a number where there is none. With `inner_only` cells that touch an
-    end, which lack sides, are left out, also as neighbors. Raises `ValueError` for another surface and areas
-    of another number of cells.
+    A side is a neighbor that touches on the surface. m(n) is the mean number of sides over all pairs of a cell with n
+    sides and a neighbor. Section 4.4 of the paper counts neighbors by surface; the laws of Lewis and Aboav-Weaire are
+    not in it.
+
+    Args:
+        connectivity: What `find_connectivity` gave.
+        areas: The areas of the cells on the surface, [n], in any unit.
+        surface: "apical" or "basal", or "all" for neighbors anywhere.
+        inner_only: Whether cells that touch an end of the tube, which lack sides, are left out, also as neighbors.
+
+    Returns:
+        Columns with a row for each number of `sides`, rising: `count` and `fraction` of the cells; `relative_area`,
+        mean area / mean area of all cells (Lewis); `neighbor_sides`, m(n), not a number where there is no neighbor; and
+        `sides_times_neighbor_sides`, n m(n) (Aboav-Weaire: linear in n).
+
+    Raises:
+        ValueError: If the surface is another, or if the areas are those of another number of cells.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> table = polygon_classes(four, [1, 1, 2, 2], inner_only=False)
@@ -142,10 +183,17 @@ def polygon_classes(
 
 
 def tissue_graph(connectivity: Connectivity, columns: Mapping[str, np.ndarray] | None = None) -> nx.Graph:
-    """The contact graph of a tissue: a node per cell, an edge per contact, with plain Python attributes.
+    """The contact graph of a tissue: a node for each cell and an edge for each contact (paper, section 4.4).
 
-    Nodes have the values of `columns`, by default those of `tabulate_connectivity`; edges have `area`,
-    `apical_length`, `basal_length`, `kind` and `pieces`. `networkx.write_graphml` and its like take it.
+    All attributes are plain Python values, so that `networkx.write_graphml` and similar functions take the graph.
+
+    Args:
+        connectivity: What `find_connectivity` gave.
+        columns: Values of each cell, [n] by name; those of `tabulate_connectivity` if None.
+
+    Returns:
+        The graph. Nodes have the values of `columns`; edges have `area`, `apical_length`, `basal_length`, `kind` and
+        `pieces`.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> graph = tissue_graph(four)

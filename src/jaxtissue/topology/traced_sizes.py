@@ -17,7 +17,7 @@ LEAST = 7e-6, 2.4e-4
 
 
 class TracedSizes(NamedTuple):
-    """Sizes of each cell, with bounds of the errors of two."""
+    """Sizes of each cell, in 64 bits, with bounds of the errors of volume and lateral area; see `CellGeometry`."""
 
     volume: Float[np.ndarray, " n"]
     lateral_area: Float[np.ndarray, " n"]

@@ -19,25 +19,37 @@ GAP = 1e-9  # of R_b: a gap in a silhouette that is no error of rounding
 
 @dataclass(frozen=True)
 class Transitions:
-    """Points of the open tissue with four nearest backbones: where they are, and their cells, sorted."""
+    """The transition points of a tissue: points with four nearest backbones, on no surface (paper, section 4.4).
+
+    Attributes:
+        points: Their Cartesian coordinates, [k, 3], in the unit of the tube's lengths.
+        cells: The four cells that meet at each, [k, 4], sorted.
+        per_cell: The number of transition points of each cell, [n].
+        open_ends: The number of edges that could not be followed; if it is not 0, points may be missing.
+    """
 
     points: Float[np.ndarray, "k 3"]
     cells: Int[np.ndarray, "k 4"]
     per_cell: Int[np.ndarray, " n"]
-    open_ends: int  # edges of the diagram that could not be followed: if not 0, parts may be missing
+    open_ends: int
 
     @property
     def is_scutoid(self) -> Bool[np.ndarray, " n"]:
-        """Whether each cell has a transition point."""
+        """Whether each cell is a scutoid, that is, has a transition point, [n]."""
         return self.per_cell > 0
 
 
 @dataclass(frozen=True)
 class CellForms:
-    """What is unlike a column in the form of each cell."""
+    """The forms of cells that are not a single column from the apical to the basal surface.
 
-    is_ring: Bool[np.ndarray, " n"]  # at some radius it goes all the way round the lumen
-    pieces: Int[np.ndarray, " n"]  # 1, and more for a cell with detached parts
+    Attributes:
+        is_ring: Whether each cell, at some radius, goes all the way round the lumen, [n].
+        pieces: The number of pieces of each cell, [n]: 1, and more for a cell with detached parts.
+    """
+
+    is_ring: Bool[np.ndarray, " n"]
+    pieces: Int[np.ndarray, " n"]
 
 
 def find_transitions(
@@ -46,13 +58,24 @@ def find_transitions(
     edges: EdgeGraph | None = None,
     faces: Faces | None = None,
 ) -> Transitions:
-    """All transition points, d_a = d_b = d_c = d_d <= every other distance, R_a < r < R_b and 0 < x < L.
+    """Find all transition points, d_a = d_b = d_c = d_d <= every other distance, with R_a < r < R_b and 0 < x < L.
 
-    They are the vertices of four cells at which the edges of the diagram end, to some 1e-14 of the tube's
-    size by Newton in float64; where four cells meet all along a line, as on a square lattice, there is none.
-    The frame is x along the axis, y = r cos(angle), z = r sin(angle). Positions as (axial, angle), [n, 2];
-    `edges` and their `faces` spare tracing and measuring them anew. Paper, section 4.3 (decision:
-    open tissue only).
+    They are the vertices of four cells at which the edges of the diagram end (paper, section 4.4), right to about 1e-14
+    of the tube's size, by Newton's method in 64 bits. Points on the surfaces and ends are not counted, which the paper
+    leaves open. Where four cells meet all along a line, as on a square lattice, there is none. The frame is x along the
+    axis, y = r cos(angle), z = r sin(angle).
+
+    Args:
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
+        tube: The tube that the backbones stand in.
+        edges: The edges of this tissue, where they have been traced before.
+        faces: The faces of these edges, where they have been measured before.
+
+    Returns:
+        The points and their cells.
+
+    Raises:
+        ValueError: If `as_positions` refuses the positions.
 
     >>> four = find_transitions([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> four.points.round(4).tolist(), four.cells.tolist()
@@ -80,13 +103,12 @@ def find_forms(
     edges: EdgeGraph | None = None,
     faces: Faces | None = None,
 ) -> CellForms:
-    """Which cells wrap round the lumen, and how many parts each has.
+    """Find the cells that wrap round the lumen, and the number of parts of each cell.
 
-    A cell is one interval on each line parallel to the axis, so the lines that meet it are bounded, in radius
-    and angle, by its *silhouette*: its edges with one cell or end of the tube ahead and one behind. It wraps
-    if at some radius there is no silhouette, as its own backbone is within. Its parts are the connected parts
-    of its boundary. Positions as (axial, angle), [n, 2]; `edges` and
-    their `faces` spare tracing and measuring them anew.
+    A cell is one interval on each line parallel to the axis, so the lines that meet it are bounded, in radius and
+    angle, by its *silhouette*: its edges with one cell or end of the tube ahead and one behind. It wraps if at some
+    radius there is no silhouette, as its own backbone is within. Its parts are the connected parts of its boundary.
+    Positions are (axial, angle), [n, 2]; `edges` and their `faces` spare tracing and measuring them anew.
 
     >>> find_forms([[2, 0], [8, 0]], Tube(10, 1, 3))
     CellForms(is_ring=array([ True,  True]), pieces=array([1, 1]))
@@ -98,7 +120,7 @@ def find_forms(
 
 
 def _find_rings(place: np.ndarray, tube: Tube, graph: EdgeGraph) -> Bool[np.ndarray, " n"]:
-    """Cells whose silhouette leaves out some radius."""
+    """Find the cells that have no silhouette at some radius."""
     n, inner, outer = graph.cells, float(tube.apical_radius), float(tube.basal_radius)
     low, high = _radial_ranges(graph, graph.bisectors)
     ahead = np.concatenate([place[:, 0], [np.nan, np.nan, -np.inf, np.inf]])  # no silhouette on the surfaces
