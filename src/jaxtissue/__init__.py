@@ -94,5 +94,5 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    """The public names: rooms and modules are for those who look inside."""
+    """The public names alone; rooms and modules are internal."""
     return [*__all__, "__version__"]

@@ -97,7 +97,7 @@ class Model(eqx.Module):
         cell_energy: A function `cell_energy(cells, model)` that gives the energy E_i of each cell, [cells]. It may be
             any jittable function of `CellGeometry.volume` and `lateral_area` in which the energy of a cell depends on
             the sizes of that cell alone.
-        parameters: A pytree of arrays whose first axis is the cells, [n, ...], or None. Where the function is called
+        parameters: A pytree of arrays with the cells as first axis, [n, ...], or None. Where the function is called
             for a part of the cells, `model.parameters` holds the rows of that part.
         adhesion: How walls count by the types of the two cells that they part, or None. `lateral_area` is then the sum
             of the areas of a cell's walls, each times the weight of its pair of types. Weights above 1 between unlike

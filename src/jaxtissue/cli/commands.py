@@ -139,7 +139,7 @@ def _find_part(
 
 
 def measure(arguments: dict[str, Any]) -> int:
-    """Measure the cells of given backbones, and trace who touches whom."""
+    """Measure the cells of given backbones, and trace their contacts."""
     folder = arguments["out"]
     _refuse_both(arguments, "minimum_contact", "graph")
     check_folder(folder, arguments["force"])
@@ -263,7 +263,7 @@ def _has_device() -> bool:
 
 
 def _say(text: str) -> None:
-    """What takes the time, for who is watching."""
+    """Print what takes the time, where the output is a terminal."""
     if sys.stderr.isatty():
         print(text, file=sys.stderr)
 

@@ -1,4 +1,4 @@
-"""Compiled programs: kept for all who are alike in shapes, and lifted over replicas and devices.
+"""Compiled programs: kept for all arguments alike in shapes, and lifted over replicas and devices.
 
 What happens to one replica is written as for one, as a task: a generator that yields a `Request` where it
 needs something compiled, and `Ahead` for what it will need. Tasks go on turn by turn; requests of one turn
@@ -28,7 +28,7 @@ from jaxtissue.compilation.fusion import options
 T = TypeVar("T")
 AXIS = "replicas"
 IN_TURN = ("cpu",)  # platforms whose devices take their replicas one after another, not all at once
-PROGRAMS: dict[Any, Callable | Future] = {}  # compiled, or being so, for all who are alike in shapes
+PROGRAMS: dict[Any, Callable | Future] = {}  # compiled, or being so, for arguments alike in shapes
 BESIDE = ThreadPoolExecutor(2, "compile")  # compile what will be needed, beside what is done meanwhile
 
 
@@ -57,8 +57,10 @@ class Ahead(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What a request gave, as NumPy arrays; the seconds it traced or waited for a program; what was done
-    meanwhile."""
+    """The result of a request, as NumPy arrays.
+
+    `compile_seconds` were spent tracing or waiting for a program; `meanwhile` is the result of the work done meanwhile.
+    """
 
     result: Any
     compile_seconds: float
@@ -206,8 +208,10 @@ def _run_alike(requests: Sequence[Request], slots: int, devices: int) -> list[An
 
 
 def _compiling(asked: Request | Ahead, mesh: Mesh, batch: tuple) -> Callable[[], Callable]:
-    """What gives the program for arguments of these shapes, spread over the mesh: it compiles what is traced
-    here, or loads what was kept."""
+    """A function that gives the program for arguments of these shapes, spread over the mesh.
+
+    It compiles what is traced here, or loads what was kept.
+    """
     sharding, chosen = NamedSharding(mesh, PartitionSpec(AXIS)), options(light=asked.seldom)
     key = program_cache.key_of(asked.function, batch, chosen, mesh.size)
 
@@ -266,9 +270,8 @@ def _mesh(devices: int) -> Mesh:
 def _lifted(function: Callable[..., Any], mesh: Mesh) -> Callable[..., Any]:
     """A function of one replica as one of many, [replicas, ...], whose replicas are spread over a mesh.
 
-    A CPU takes its replicas one after another, and skips those that are not active; others take all at once.
+    A CPU takes its replicas one after another, and skips inactive ones; other devices take all at once.
     """
-
     function = jax.jit(function, inline=True)  # traced once, though asked for twice
 
     def one(call: tuple) -> Any:

@@ -186,7 +186,7 @@ def _ring_edges(corners: np.ndarray, first: np.ndarray, facet: np.ndarray, plane
 
 
 def _facet_moments(facets: _Facets, clip: Clip) -> Float64[np.ndarray, "6 f"]:
-    """int (1, v, u, v^2, u v, u^2) dA over each clipped facet."""
+    """The integrals of (1, v, u, v^2, u v, u^2) dA over each clipped facet."""
     _, _, first, facet, ((u, _), _, (w, _), (x, _)) = facets
     low, high = np.minimum.reduceat(x, first), np.maximum.reduceat(x, first)
     farthest = np.maximum.reduceat(u * u + w * w, first)

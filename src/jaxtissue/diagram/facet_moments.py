@@ -72,7 +72,7 @@ def _cuts(edges: Edges, clip: Clip) -> Float64[np.ndarray, "8 e"]:
 
 
 def _powers(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """int (1, v, u, v^2, u v, u^2) du from 0 to u."""
+    """The integrals of (1, v, u, v^2, u v, u^2) du from 0 to u."""
     return np.stack([u, u * v, u * u / 2, u * v * v, u * u * v / 2, u * u * u / 3])
 
 

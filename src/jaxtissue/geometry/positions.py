@@ -1,4 +1,4 @@
-"""The gate for positions: whatever people give becomes one array of floats, or is refused in one line."""
+"""The gate for positions: input of any form becomes one array of floats, or is refused in one line."""
 
 import math
 import warnings
@@ -48,18 +48,18 @@ BACKBONES = Rows()
 def as_positions(
     positions: Any, tube: Tube, dtype: DTypeLike | None = None, rows: Rows = BACKBONES, sizes: bool = True
 ) -> Float[np.ndarray, "n 2"]:
-    """Positions as an array of floats, [n, 2], (axial, angle), with axial within the tube.
+    """Positions as an array of floats, [n, 2], (axial, angle), with the axial position within the tube.
 
-    They may be whatever NumPy reads as real numbers: lists, arrays of any byte order and precision, whole
-    numbers, and tables with the columns `axial` and `angle`, such as a pandas DataFrame or a dictionary. They
-    are converted once, to `dtype`, by default the precision that JAX works in. Places beyond an end by a
-    rounding of single precision are put on it, and angles of more than a turn are brought within one. Traced
-    positions come back as they are.
+    The input may be anything that NumPy reads as real numbers: lists, arrays of any byte order and precision, whole
+    numbers, and tables with the columns `axial` and `angle`, such as a pandas DataFrame or a dictionary. It is
+    converted once, to `dtype`, by default the precision that JAX works in. Axial positions beyond an end by a rounding
+    of single precision are put on it, and angles of more than a turn are brought within one. Traced positions come back
+    as they are. Where `sizes` are measured, warns of backbones so near each other that this precision gets volumes
+    wrong by 1 % of a cell.
 
-    Raises `ValueError` for what holds no real numbers, masked or missing values, another shape, numbers that
-    are not finite, places outside the tube, and two backbones that are one in this precision, also a full
-    turn apart. Where `sizes` are measured, warns of backbones so near each other that this precision gets
-    volumes wrong by 1 % of a cell.
+    Raises:
+        ValueError: If the input holds no real numbers, masked or missing values, or another shape, if numbers are not
+            finite or outside the tube, or if two backbones are one in this precision, also a full turn apart.
 
     >>> as_positions([[5, 0], [7, 1]], Tube(10, 1, 2))
     array([[5., 0.],
@@ -131,9 +131,9 @@ class _Near(NamedTuple):
 
 
 def _near_pairs(place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n 2"], radius: float) -> _Near:
-    """The pairs that rounding may make one, or turn the wall between them.
+    """The pairs that rounding may make one, or whose wall it may turn.
 
-    Each backbone with its nearest few; of those exactly at one place only neighbors in the order.
+    Each backbone is paired with its nearest ones; of backbones exactly at one place only neighbors in the order.
     """
     axial, angle = rounded[:, 0].astype(float) / radius, rounded[:, 1].astype(float)
     shift = (np.abs(rounded - place) * [1 / radius, 1]).max(axis=1)
@@ -168,7 +168,7 @@ def _refuse_same(place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n 
 
 
 def _warn_of_near(place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n 2"], near: _Near, rows: Rows) -> None:
-    """Warn of backbones whose cells this precision can't measure."""
+    """Warn of backbones so near that this precision cannot measure their cells."""
     first, second = near.pairs.T
     # walls between backbones that stand level are radial: rounding does not tilt them
     tilted = ~(near.level & (place[first, 0] == place[second, 0]))

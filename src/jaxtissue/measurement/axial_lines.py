@@ -107,7 +107,7 @@ def turned_in_frame(radius: Array, turn: Array, own: BackboneCoords) -> LineFram
 
 
 def sagitta_of(radius: Array, turned: Array) -> Array:
-    """r - z, of z + i y; without loss of digits where it is small."""
+    """The sagitta r - z of z + i y, without loss of digits where it is small."""
     z, y = turned.real, turned.imag
     return jnp.where(z > 0, y * y / (radius + larger(z, 0.0)), radius - z)
 
@@ -115,7 +115,7 @@ def sagitta_of(radius: Array, turned: Array) -> Array:
 def relative_coords(
     own: BackboneCoords, others: BackboneCoords, first: Array, tube: Tube
 ) -> tuple[RelativeCoords, Array]:
-    """The others as rivals, whatever side they are on, and whether each lies ahead.
+    """The other backbones as rivals, on either side, and whether each lies ahead.
 
     No wall may be parallel to the axis: of two backbones at the same height the one that is `first` counts as
     lying behind, and all are taken as LEVEL times their distance apart along the axis.

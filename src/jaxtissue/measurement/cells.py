@@ -244,7 +244,7 @@ def through_windows(
 
 
 class Survey(NamedTuple):
-    """What measuring cells tells beside their sizes."""
+    """The results of measuring cells: their sizes, and what the lines show of their neighbors."""
 
     sizes: CellGeometry
     wide: Bool[Array, "cells"]  # the cell goes on beyond the middle window
@@ -263,13 +263,12 @@ def measure_cells(
     all_round: Bool[Array, "n"] | None = None,
     adhesion: Adhesion | None = None,
 ) -> tuple[CellGeometry, Survey]:
-    """Measure all cells, or the given ones, against their candidate neighbors behind and ahead.
+    """Measure all cells, or the given ones, against their candidate neighbors behind and ahead (paper, section 3.1).
 
-    Lists are padded with the cell itself. Cells that are to be measured `all_round` are looked for in all
-    windows round the tube, others as long as one window after the other holds a part of them. Pure: `jit`
-    it, `vmap` it over replicas, each with the lines planned for its tube; positions, the tube's sizes and the
-    lines are traced. V_i = integral of the interval's length over r dr dt, A_i = integral of the walls' tilt.
-    Paper, section 3.1.
+    Lists are padded with the cell itself. Cells that are to be measured `all_round` are looked for in all windows round
+    the tube, others as long as one window after the other holds a part of them. The function is pure: it may be jitted,
+    or vmapped over replicas, each with the lines planned for its tube; positions, the tube's sizes and the lines are
+    traced. V_i = integral of the interval's length over r dr dt, A_i = integral of the walls' tilt.
     """
     which = jnp.arange(len(positions), dtype=jnp.int32) if cells is None else jnp.asarray(cells)
     neighbors, table, size = jnp.asarray(neighbors), backbone_coords(positions), len(which)
@@ -302,7 +301,7 @@ def measure_cells(
 
 
 def add_window(items: Array, shift: Array, window: Window, done: Survey) -> Survey:
-    """What is known of cells, and what one more window shows of some."""
+    """The results of cells with those of one more window added."""
 
     def add(known: Array, more: Array) -> Array:
         if known.dtype == bool:

@@ -1,6 +1,6 @@
 """Where cells end: on each line parallel to the axis the walls against the nearest rivals behind and ahead.
 
-With (x - x_j)^2 + f_j the squared distance to backbone j, as in `views`, a cell is one interval on each line;
+With (x - x_j)^2 + f_j the squared distance to backbone j, as in `axial_lines`, a cell is one interval on each line;
 seen from x_i it ends where the nearest rival takes over, at a *reach* of
 h = |x_j - x_i| / 2 + (f_j - f_i) / (2 |x_j - x_i|) ahead (x_j > x_i) and behind, two mirrored sides. Between
 two lines each side is taken as the two tangents of the walls h(t), whose slope and tilt are closed forms.
@@ -43,7 +43,7 @@ class Walls(NamedTuple):
 def bounding_neighbor(
     grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube, truth: Array
 ) -> Int[Array, "lines 2 cells"]:
-    """Who stops each cell on each line, behind and ahead; END: the tube.
+    """The candidate that stops each cell on each line, behind and ahead, or END for the tube.
 
     The candidate's number rides in the lowest bits of its reach, so that one value is carried along (two
     would each repeat the loop). That blurs the choice, not the reach, by 1.5e-5 of it; of more than 128
@@ -84,7 +84,7 @@ def bounding_neighbor(
 
 
 def in_chunks(rivals: RelativeCoords) -> RelativeCoords:
-    """Rivals in tables of CHUNK at most, [chunks, length, 2, cells], the last one padded with nobody."""
+    """Rivals in tables of CHUNK at most, [chunks, length, 2, cells], the last one padded with none."""
     candidates, *shape = rivals.half.shape
     chunks = -(-candidates // CHUNK)
     length = -(-candidates // chunks)
@@ -154,7 +154,7 @@ def facing(table: Array, by: Int[Array, "lines 2 cells"], truth: Array) -> Array
 
 
 def is_level(rivals: RelativeCoords, tube: Tube) -> Array:
-    """Whether walls are as close to parallel to the axis as `see_others` lets them, but for rounding."""
+    """Whether walls are as close to parallel to the axis as `relative_coords` lets them, but for rounding."""
     return rivals.half**2 <= (0.5005 * LEVEL * tube.apical_radius) ** 2 * 2 * rivals.versine
 
 

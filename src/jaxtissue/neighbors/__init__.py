@@ -1,1 +1,1 @@
-"""Who can matter to whom: candidates, complete by an exact sum, and the few that matter soon."""
+"""The backbones that can bound each cell: lists, complete by an exact sum, and shortlists for a span of sweeps."""

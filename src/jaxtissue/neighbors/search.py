@@ -1,6 +1,6 @@
-"""Which backbones can bound which cell: candidate lists, kept complete by an exact sum.
+"""The backbones that can bound each cell: neighbor lists, complete by an exact sum.
 
-A list must hold every rival that stops a cell on some line; more only cost time. They are found among the
+A list must hold every rival that stops a cell on a line; more only cost time. They are found among the
 backbones nearest along the axis.
 """
 
@@ -35,9 +35,9 @@ TILES = 1e-5  # relative defect of the lengths along a line above which lists ar
 def find_candidates(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0
 ) -> Int[np.ndarray, "n 2 side_candidates"]:
-    """Complete candidate lists, behind and ahead of each cell, padded with the cell itself.
+    """Complete neighbor lists, behind and ahead of each cell, padded with the cell itself.
 
-    As many nearest backbones are taken as it needs for the cells to tile every line; those within `margin`
+    As many nearest backbones are taken as it takes for the cells to tile every line; those within `margin`
     along the axis stand on both sides.
     """
     return complete_lists(positions, tube, margin)[0]
@@ -53,7 +53,7 @@ class Check(NamedTuple):
 def complete_lists(
     positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0
 ) -> tuple[Int[np.ndarray, "n 2 side_candidates"], Check]:
-    """The same with the `check_lists` of them."""
+    """As `find_candidates`, with the `check_lists` of the lists."""
     for sides, has_all in candidate_lists(positions, tube, margin):
         check = find_check(positions, tube, sides)
         if has_all or check.defect < TILES:
@@ -82,14 +82,14 @@ def _checking() -> Callable[..., Check]:
 
 
 class Attempt(NamedTuple):
-    """Candidate lists: they lack nobody if they have all, or if their `tiling_defect` is below TILES."""
+    """Neighbor lists: complete if they have all cells, or if their `tiling_defect` is below TILES."""
 
     sides: Int[np.ndarray, "n 2 side_candidates"]
     has_all: bool
 
 
 def candidate_lists(positions: Float[Array | np.ndarray, "n 2"], tube: Tube, margin: float = 0.0) -> Iterator[Attempt]:
-    """Longer and longer lists, from NEAREST up to everyone."""
+    """Longer and longer lists, from NEAREST candidates up to all cells."""
     count = NEAREST
     while True:
         most = A_SIDE * count // NEAREST
@@ -171,7 +171,7 @@ def spacing_at(gap: T, cosine: T, inner: Any, outer: Any, xp: Any = np) -> T:
 def contact_graph(
     sides: Int[np.ndarray, "n 2 candidates"], touched: Bool[ArrayLike, "n 2 candidates"]
 ) -> sparse.csr_array:
-    """Who stops whom, as a symmetric [n, n] matrix."""
+    """The pairs of cells that bound each other, as a symmetric [n, n] matrix."""
     at = np.flatnonzero(touched)
     return symmetric_graph(at // sides[0].size, sides.reshape(-1)[at], len(sides))
 
@@ -202,8 +202,8 @@ def split_by_side(
 ) -> Int[np.ndarray, "n 2 side_candidates"]:
     """Candidates split into those behind and those ahead along the axis; within `margin`, both.
 
-    Of each side the first `most`, in order of their numbers: of those that its codes cannot tell apart `stop`
-    takes the first, and short lists must take the same as long ones.
+    Of each side the first `most`, in order of their numbers: of reaches that its codes cannot tell apart
+    `bounding_neighbor` takes the first, and short lists must take the same as long ones.
     """
     axial, own = np.asarray(positions, float)[:, 0], np.arange(len(lists), dtype=np.int32)[:, None]
     gap, none = axial[lists] - axial[:, None], lists.shape[1]

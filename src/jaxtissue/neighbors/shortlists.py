@@ -1,6 +1,6 @@
-"""Shortlists: of all candidates the few that can come to stop a cell within a few sweeps.
+"""Shortlists: the candidates that can come to bound a cell within a span of sweeps.
 
-Whether they were enough shows afterwards: whoever stops a cell then must have been listed.
+Whether they were enough shows afterwards: a backbone that bounds a cell then must have been listed.
 """
 
 import functools
@@ -30,14 +30,14 @@ from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, p
 from jaxtissue.neighbors.search import lowest_columns, pad_lists, spacing_at, symmetric_graph
 
 CANDIDATES = 22  # on each side of a cell: three times as many as bound it
-FEW = 500  # cells for which these do; of more, one lacks a candidate as seldom if all have more
-SIGHT_LINES = 5.0  # lines per mean cell width on which it is seen how clear of a cell its candidates are
-SIGHT = 2.0  # mean cell widths to either side in which that is seen
+FEW = 500  # cells for which these are enough; of more cells, one lacks a candidate as seldom if all have more
+SIGHT_LINES = 5.0  # lines per mean cell width on which clearances are measured
+SIGHT = 2.0  # mean cell widths to either side in which they are
 TINY = 1e-20
-TOUCHES = 0.0  # clearance of who touches a cell
-STAYS = 0.1  # weight of how far a candidate is from where the cell stops now: who stops it may go on to
+TOUCHES = 0.0  # clearance of a candidate that touches the cell
+STAYS = 0.1  # weight of how far a candidate is from where the cell stops now: a neighbor may go on to
 ACROSS = 0.4  # weight of how far along the axis it is from the side on which it is listed
-STOPS = 1e-25  # of who stops it on a line that bears no part of it, below that of all others
+STOPS = 1e-25  # of one that stops it on a line that bears no part of it, below that of all others
 
 
 def sight_lines(tube: Tube, cells: int, resolution: Resolution | str) -> Lines:
@@ -48,15 +48,14 @@ def sight_lines(tube: Tube, cells: int, resolution: Resolution | str) -> Lines:
 def clearance(
     positions: Float[Array, "n 2"], tube: Tube, lines: Lines, sides: Int[Array, "n 2 candidates"]
 ) -> Float[Array, "n 2 candidates"]:
-    """How far each candidate would have to move, on the apical surface, to stop the cell on some of the lines
-    if it were not for the one who does.
+    """How far each candidate would have to move on the apical surface to stop the cell on a line, squared.
 
-    To first order: d_j^2 - d_i^2 where the second in line would stop the cell, over its derivative,
-    2 sqrt((x - x_j)^2 + (r s sin(t - t_j) / R_a)^2). Squared, and infinite where there is none; TINY at
-    least. To that are added the squares of how far the cell is from the line if it were not for those who
-    stop it, since it may get there, and, at a weight of STAYS, of how far the candidate is from where the
-    cell stops now. Those listed on the side where they are not yet are taken at the mirrored place, farther
-    by the way to that side, at a weight of ACROSS. Who is far from stopping a cell now will be for a while.
+    To first order: d_j^2 - d_i^2 where the second in line would stop the cell, over its derivative, 2 sqrt((x - x_j)^2
+    + (r s sin(t - t_j) / R_a)^2). Infinite where there is none; TINY at least. To that are added the squares of how far
+    the cell is from the line without the backbones that stop it, since it may get there, and, at a weight of STAYS, of
+    how far the candidate is from where the cell stops now. Candidates on the side where they are not yet are taken at
+    the mirrored place, farther by the way to that side, at a weight of ACROSS. A backbone far from stopping a cell now
+    stays so for a while.
     """
     n, dtype = len(positions), positions.dtype
     width = min(n, BLOCK)
@@ -109,7 +108,7 @@ def lowest_above(above: Array | float, meets: Array, here: Array, ends: Array) -
 def distances(
     positions: Float[Array, "n 2"], tube: Tube, sides: Int[Array, "n 2 candidates"]
 ) -> Float[Array, "n 2 candidates"]:
-    """From each backbone to its candidates, as `candidates.spacing`, not squared; never 0."""
+    """The distances from each backbone to its candidates, as `search.spacing`, not squared; never 0."""
     place = backbone_coords(positions)
     own, others = BackboneCoords(*(column[:, None, None] for column in place)), pick(place, sides)
     cosine = 1 - turn_between(own, others)[0]
@@ -118,9 +117,9 @@ def distances(
 
 
 def shortlist_length(cells: int) -> int:
-    """How many candidates a side cells have for some sweeps: 22, and 5 more for each tenfold of cells.
+    """The number of candidates on each side of a cell during a span: 22, and 5 more for each tenfold of cells.
 
-    If one cell lacks one, the sweeps of all are played again: with five more, ten times as seldom or so.
+    If one cell lacks one, the sweeps of all are played again: with five more, about ten times as seldom.
 
     >>> shortlist_length(500), shortlist_length(50_000)
     (22, 32)
@@ -131,7 +130,7 @@ def shortlist_length(cells: int) -> int:
 def nearest_sides(
     sides: Int[np.ndarray, "n 2 candidates"], clear: Float[np.ndarray, "n 2 candidates"], count: int
 ) -> Int[np.ndarray, "n 2 count"]:
-    """The `count` candidates on each side whose walls are nearest to the cell, by number as on long lists."""
+    """The `count` candidates with the least clearance on each side, by number as on long lists."""
     kept = lowest_columns(clear, count)
     sides, clear = (np.take_along_axis(table, kept, axis=2) for table in (sides, clear))
     own = np.arange(len(sides), dtype=sides.dtype)[:, None, None]
@@ -139,10 +138,9 @@ def nearest_sides(
 
 
 def mutual_entries(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "2 pairs"]:
-    """Where in `sides`, as flat places, each pair has both its views: the two list each other, on sides that
-    agree on who is ahead.
+    """The flat places in `sides` of the two entries of each pair that list each other, and agree on which is ahead.
 
-    Pair, who is ahead, whose view and where in that list are one integer, since sorting those is fast.
+    Pair, order, list and place in it are one integer, since sorting those is fast.
     """
     n, row = len(sides), sides[0].size
     own, lists, place = np.arange(n, dtype=np.int32)[:, None], sides.reshape(n, row), np.arange(row)
@@ -169,9 +167,9 @@ def survey_tissue(
     sides: Int[Array, "n 2 candidates"],
     adhesion: Adhesion | None = None,
 ) -> tuple[Survey, Float[Array, "n 2 candidates"]]:
-    """Measure a whole tissue, and on `sight_lines` how clear of each cell its candidates are.
+    """Measure a whole tissue, and the clearance of each candidate on `sight_lines`.
 
-    Who touches it, or stops it on any line, has a flag instead of a clearance.
+    A candidate that touches the cell, or stops it on any line, has a flag instead of a clearance.
     """
     _, seen = measure_cells(positions, tube, lines[0], sides, adhesion=adhesion)
     clear = clearance(positions, tube, lines[1], sides)
@@ -181,7 +179,7 @@ def survey_tissue(
 def from_both(
     clear: Float[np.ndarray, "n 2 candidates"], views: Int[np.ndarray, "2 pairs"]
 ) -> Float[np.ndarray, "n 2 candidates"]:
-    """The smaller clearance of both views of each pair, as first orders err on one side.
+    """The smaller of the two clearances of each pair, one from each cell, as first orders err on one side.
 
     `views` are `mutual_entries` of the lists.
     """
@@ -194,7 +192,7 @@ def from_both(
 
 
 def around(sides: Int[np.ndarray, "n 2 candidates"]) -> Int[np.ndarray, "n around"]:
-    """Of each cell all who have it among their candidates, and its own; padded with itself."""
+    """The cells that list each cell as a candidate, and its own candidates; padded with the cell itself."""
     n = len(sides)
     return packed_rows(symmetric_graph(np.repeat(np.arange(n), sides[0].size), sides.reshape(-1), n))
 
@@ -214,7 +212,7 @@ def find_unlisted(
     sides: Int[np.ndarray, "n 2 candidates"],
     few: Int[np.ndarray, "n 2 few"],
 ) -> Int[np.ndarray, "pairs 2"]:
-    """Some of the cells, and those who touch them without being on their shortlists."""
+    """Pairs of a given cell and a cell that touches it without being on its shortlist."""
     row, side, place = np.nonzero(clear[cells] == TOUCHES)
     cell = cells[row]
     rival = sides[cell, side, place]
@@ -227,9 +225,9 @@ def list_first(
     sides: Int[np.ndarray, "n 2 candidates"],
     clear: Float[np.ndarray, "n 2 candidates"],
 ) -> bool:
-    """Let pairs head each other's shortlists, by their clearance; whether any did not yet.
+    """Put the cells of pairs first on each other's shortlists, by their clearance; whether any was not there yet.
 
-    On both sides, where the other may come to lie: in place of who is farthest from stopping the cell.
+    Both sides list them, where the other may come to lie, in place of the candidate farthest from stopping the cell.
     """
     news = False
     for pair in pairs:

@@ -146,6 +146,7 @@ def plot_volume_ranks(table: Table, mean_volume: float, length: float) -> tuple[
 
 
 def where(table: Table, **values: Any) -> Table:
+    """The rows of a table that have the given values."""
     chosen = np.all([table[name] == value for name, value in values.items()], axis=0)
     return {name: column[chosen] for name, column in table.items()}
 

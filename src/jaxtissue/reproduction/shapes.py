@@ -13,7 +13,7 @@ APICAL, BASAL, LEFT, RIGHT = -1, -2, -3, -4  # what is behind a wall that is non
 
 
 class Section(NamedTuple):
-    """A cell on lines parallel to the axis at one radius: where each is entered and left, and to whom."""
+    """A cell on lines parallel to the axis at one radius: where each is entered and left, and the cells beyond."""
 
     lower: Float[np.ndarray, " lines"]  # not below `upper` where the line misses the cell
     upper: Float[np.ndarray, " lines"]

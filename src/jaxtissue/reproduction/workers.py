@@ -24,8 +24,10 @@ CONFIG: Any = jax.config  # its settings are not declared
 
 
 def free_cores() -> int:
-    """How many processes the machine has cores and memory for; one where JAX has accelerators, which are not
-    shared out."""
+    """The number of processes that the machine has cores and memory for.
+
+    It is one where JAX has accelerators, which are not shared out.
+    """
     if jax.default_backend() != "cpu":
         return 1
     cores = usable_cores()
@@ -77,7 +79,7 @@ class Workers:
         except BrokenProcessPool as error:
             told = "a worker process died: killed, or out of memory"
             raise ChildProcessError(f"{told}; the same command goes on with what is kept") from error
-        finally:  # where one failed or nobody wants the others
+        finally:  # where one failed or the others are not wanted
             for future in numbers:
                 future.cancel()
 
@@ -118,7 +120,7 @@ def _set_up(compiled: str | None, x64: bool) -> None:
 
 
 def _end_with_parent() -> None:
-    """A parent that is killed ends nobody by itself."""
+    """End this process with its parent: a parent that is killed does not end it."""
     if parent := multiprocessing.parent_process():
         parent.join()
         os._exit(1)

@@ -136,8 +136,10 @@ def _sweep(run: Run, stop: Stop) -> bool:
 
 
 def _finish(run: Run, ended: bool = True) -> None:
-    """Write what a run leaves: tables, figures, the manifest, by which it is finished if it ended; print the
-    result."""
+    """Write the results of a run, tables, figures and the manifest, and print them.
+
+    A run that ended is finished by its manifest.
+    """
     from jaxtissue.runs.plots import Tissue, plot_energy, plot_surfaces, plot_volumes, save_figure
 
     say("measuring and drawing" if run.settings.no_contacts else "measuring, tracing contacts, drawing")

@@ -1,4 +1,4 @@
-"""Who does which part of some work: one process, a job of an array, or one of several under JAX."""
+"""The parts of divided work: one process, a job of an array, or one of several processes under JAX."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -56,11 +56,14 @@ def slurm_part(environment: Mapping[str, str] = os.environ) -> Part:
 
 
 def join(coordinator: str | None, place: tuple[int, int] | None) -> Part:
-    """Join the processes that run together: at a coordinator as process (number, count), else as the
-    environment tells (Slurm, Open MPI, Kubernetes, Cloud TPU). Raises `ValueError` where that fails."""
+    """Join the processes that run together, at a coordinator as process (number, count).
+
+    Without these the environment tells them (Slurm, Open MPI, Kubernetes, Cloud TPU). Raises `ValueError` where that
+    fails.
+    """
     number, count = place if place else (None, None)
     try:
-        # those that are done first wait for the others in the end
+        # processes that are done first wait for the others in the end
         jax.distributed.initialize(coordinator, count, number, shutdown_timeout_seconds=3600)
     except (RuntimeError, ValueError) as error:
         remedy = "give --coordinator HOST:PORT and --process K/N"

@@ -208,7 +208,7 @@ def _anneal(run: GridRun, missing: list[int], size: int) -> bool:
 
 
 def _await_others(run: GridRun) -> bool:
-    """Wait until the rows of all processes are there, as long as nobody stops this one."""
+    """Wait until the rows of all processes are there, unless this process is stopped."""
     while run.missing(range(len(run.rows))):
         if run.stop.signal:
             return False

@@ -137,5 +137,5 @@ def take_up(folder: Path, given: Mapping[str, Any], finish: bool) -> Run | None:
 
 
 def say(text: str) -> None:
-    """A line for those who watch, past the bar of progress."""
+    """Print a line for the user, past the progress bar."""
     tqdm.write(text, file=sys.stderr)

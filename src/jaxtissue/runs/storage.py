@@ -25,7 +25,7 @@ class Checkpoint(NamedTuple):
 
 
 def write_backbones(path: Path, positions: Float[ArrayLike, "n 2"], names: Sequence[str] | None = None) -> None:
-    """Write (axial, angle) positions, and names as `cell`, as `reading.read_backbones` reads them."""
+    """Write (axial, angle) positions, and names as `cell`, as `backbone_files.read_backbones` reads them."""
     axial, angle = np.asarray(positions).T
     columns = {"axial": axial, "angle": angle}
     write_table(path, columns | ({"cell": np.array(names, dtype=object)} if names else {}))

@@ -22,8 +22,10 @@ def usable_threads() -> int:
 
 
 def in_threads(work: Callable[[Part], Result], parts: Iterable[Part]) -> list[Result]:
-    """The results of some work on each part, in order: numpy lets other threads go on while it is at large
-    arrays."""
+    """The results of `work` on each part, in order.
+
+    NumPy lets other threads go on while it works on large arrays.
+    """
     parts, threads = list(parts), usable_threads()
     if threads == 1 or len(parts) == 1:
         return [work(part) for part in parts]

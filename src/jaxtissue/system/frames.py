@@ -1,4 +1,4 @@
-"""Tables for pandas, which is installed by those who use it."""
+"""Tables for pandas, which is an optional dependency."""
 
 from collections.abc import Mapping
 from importlib import import_module

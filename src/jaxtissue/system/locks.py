@@ -46,7 +46,7 @@ class Lock:
                 fcntl.flock(self._file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
                 if self._is_there():
                     break
-                os.close(self._file)  # the last who had it removed it meanwhile
+                os.close(self._file)  # the last holder removed it meanwhile
                 self._open()
         except BlockingIOError:
             return False
@@ -61,7 +61,7 @@ class Lock:
         return True
 
     def holder(self) -> str:
-        """Who took it alone the last time."""
+        """The process that last took the lock alone."""
         return os.pread(self._file, 200, 0).decode(errors="replace") or "another process"
 
     def release(self) -> None:
@@ -98,7 +98,7 @@ def alone(folder: Path, name: str = NAME, what: str = "a run") -> Iterator[None]
 
 @contextmanager
 def together(folder: Path, prepare: Callable[[bool | None], None]) -> Iterator[None]:
-    """Share a folder, which is made if need be, with others who share it.
+    """Share a folder, which is made if need be, with other processes that share it.
 
     `prepare(alone)` is called first; it is told whether no other process shares the folder by then, None
     where there are no locks. Raises `ValueError` where one holds it alone.

@@ -1,4 +1,4 @@
-"""Sizes of cells with their errors: two rules compared; where they differ, cells are traced."""
+"""Sizes of cells with their errors: two rules are compared; where they differ, cells are traced."""
 
 import functools
 import math
@@ -33,7 +33,7 @@ COARSE = 3000  # rounding errors of a coordinate by which backbones differ that 
 
 
 class Tissue(NamedTuple):
-    """What all rules measure: backbones, in the precision of the rules and as given, and their neighbor list."""
+    """The input of all rules: backbones, in the precision of the rules and as given, and their neighbor list."""
 
     positions: Float[np.ndarray, "n 2"]
     given: Float[np.ndarray, "n 2"]  # float64
@@ -45,8 +45,8 @@ def measure_refined(
 ) -> CellGeometry:
     """Sizes of all cells, with bounds of the errors of volume and lateral area.
 
-    All are measured by the rule of the `resolution` and by a finer one; where these leave a limit, cells are
-    traced among their candidates. Those that can't be traced keep what the finer rule found.
+    All are measured by the rule of the `resolution` and by a finer one. Cells with errors beyond a limit are traced
+    among their candidates; cells that cannot be traced keep the sizes of the finer rule.
     """
     sizes, open_ = measure_by_rules(tissue, resolution, surfaces, limits)
     if len(open_):
@@ -59,7 +59,7 @@ def measure_refined(
 
 
 def plain(sizes: Mapping[str, np.ndarray], dtype: Any, surfaces: bool = True) -> CellGeometry:
-    """The columns as sizes in a precision, with or without those on the surfaces."""
+    """The columns as sizes in a precision, with or without the sizes on the surfaces."""
     kept = {name: column for name, column in sizes.items() if surfaces or name not in ON_SURFACES}
     exact = {name: column if column.dtype == bool else column.astype(dtype) for name, column in kept.items()}
     return CellGeometry(**{name: jnp.asarray(column) for name, column in exact.items()})
@@ -117,9 +117,9 @@ def finer(resolution: Resolution) -> Resolution:
 def measure_lines(
     tissue: Tissue, resolution: Resolution, surfaces: bool, cells: Int[np.ndarray, " cells"]
 ) -> tuple[CellGeometry, Bool[np.ndarray, " cells"]]:
-    """Sizes of some cells by the rule of a resolution, shared out among the devices of this process.
+    """Sizes of the given cells by the rule of a resolution, and which cells are narrow.
 
-    And which of them are narrow: they end far before the next line.
+    Narrow cells end far before the next line. The cells are shared out among the devices of this process.
     """
     positions, _, neighbors = tissue
     tube, sides, all_round = neighbors.domain, neighbors.candidates, neighbors.is_far
@@ -136,7 +136,7 @@ def measure_lines(
 
 @functools.cache
 def measuring(devices: tuple[Any, ...]) -> Callable[..., tuple[CellGeometry, Array]]:
-    """The program that measures some cells on some devices, an equal share on each."""
+    """The program that measures cells on several devices, an equal share on each."""
 
     def share(
         cells: Int[Array, "share"],

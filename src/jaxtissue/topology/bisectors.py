@@ -1,4 +1,4 @@
-"""How far one cell leads over another at a point, in float64: what the diagram's edges are solved from.
+"""The lead of one cell over another at a point, in float64: what the diagram's edges are solved from.
 
 With h = y cos t_j + z sin t_j and the foot of cell j at radius s = max(h, R_a), its squared distance is
 d_j^2 = |p|^2 - 2 x x_j + x_j^2 - s (2 h - s). So the *lead* of j over a, d_a^2 - d_j^2, has the continuous
@@ -124,8 +124,10 @@ class Bisectors:
     def solve(
         self, point: Float[np.ndarray, "m 3"], labels: Int[np.ndarray, "m k"], small: Float[np.ndarray, " m"]
     ) -> tuple[Float[np.ndarray, "m 3"], Bool[np.ndarray, " m"]]:
-        """Where four labels lead equally, or three and nearest to the point, by Newton; and whether its last
-        step was a small one."""
+        """The points where four labels lead equally, or three and nearest to the given point, by Newton's method.
+
+        The second value tells whether the last step was a small one.
+        """
         point, done, open_ = point.copy(), np.zeros(len(point), bool), np.arange(len(point))
         for _ in range(TURNS):
             step = self._newton(point[open_], labels[open_])
@@ -160,11 +162,11 @@ class Bisectors:
         turn: Float[np.ndarray, "m 3"],
         reach: Float[np.ndarray, " m"],
     ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """What `nearest_competitor` gives, and how far, `reach` at most, one may go ahead along a curve of given
-        tangent and its derivative before an unseen wall could be crossed and crossed back.
+        """As `nearest_competitor`, with the length that is safe to go ahead on a curve of given tangent.
 
-        Distances change no faster than places, so whoever leads within reach is now at most as far as the
-        own backbone will be, and reach more; and |x_j - x| <= d_j: no list of rivals is needed.
+        It is `reach` at most, and on it no unseen wall can be crossed and crossed back; `turn` is the derivative of the tangent.
+        Distances change no faster than places, so a backbone that leads within reach is now at most as far as the own
+        backbone will be, and reach more; and |x_j - x| <= d_j: no list of rivals is needed.
         """
         if not len(point):
             return np.zeros(0, int), np.zeros(0), np.zeros(0)
@@ -200,8 +202,10 @@ class Bisectors:
         return np.stack([self.axial[own], foot * self.cosine[own], foot * self.sine[own]], axis=1)
 
     def _span(self, point: np.ndarray, own: np.ndarray, ahead: np.ndarray, reach: np.ndarray) -> np.ndarray:
-        """How far backbones may be that come to be as near as the own one within reach, on a curve that
-        strays by a fifth of its length from its tangent."""
+        """The largest distance of a backbone that can come to be as near as the own one within reach.
+
+        The curve strays by a fifth of its length from its tangent.
+        """
         away = point - self.feet(point, own)
         later = away + reach[:, None] * ahead
         square = np.maximum((away**2).sum(axis=1), (later**2).sum(axis=1))
@@ -229,8 +233,11 @@ class Bisectors:
 
 
 def safe_step_length(beyond: np.ndarray, rate: np.ndarray, bend: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """How far one may go before a wall could be crossed and crossed back: beyond + rate s + bend s^2 / 2 is
-    taken to rise by up to SLACK / reach s^2 / 2 more; 1.5 times it, so that one step passes a wall."""
+    """The length that is safe to go before a wall could be crossed and crossed back.
+
+    beyond + rate s + bend s^2 / 2 is taken to rise by up to SLACK / reach s^2 / 2 more; 1.5 times the length at which
+    it is 0, so that one step passes a wall.
+    """
     beyond = np.minimum(beyond, 0)
     half = (bend + SLACK / np.maximum(reach, TINY)) / 2
     root = np.sqrt(np.maximum(rate**2 - 4 * half * beyond, 0))

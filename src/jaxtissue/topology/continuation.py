@@ -176,8 +176,10 @@ def refine_all(points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"
 
 
 def refine(points: Float[np.ndarray, "s 2 3"], labels: Int[np.ndarray, "s 3"], bisectors: Bisectors) -> Segments:
-    """Segments of edges parted where a foot leaves its backbone's apical end, since edges bend there, and
-    halved until they hardly turn and follow the cubic through their ends."""
+    """Segments of edges parted where a foot leaves its backbone's apical end, since edges bend there.
+
+    They are halved until they hardly turn and follow the cubic through their ends.
+    """
     tangents = bisectors.tangent(points.reshape(-1, 3), np.repeat(labels, 2, axis=0)).reshape(-1, 2, 3)
     parts = Segments(points, tangents, np.arange(len(points)))
     for place in range(3):
