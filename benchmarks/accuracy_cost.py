@@ -38,7 +38,7 @@ def references() -> dict[str, common.Truth]:
 
 
 def plan(quick: bool) -> list[tuple[str, str, Any]]:
-    """Who is measured: threads (`whole` machine, `one` core), kind and size."""
+    """The contenders: threads (`whole` machine, `one` core), kind and size."""
     few = [tuple(size) for size in (FEW[1:5] if quick else FEW)]
     grid = few if quick else list(product(LAYERS, DENSITIES))
     grid += [size for size in [*map(tuple, jt.PRESETS.values()), *few] if size not in grid]
@@ -127,7 +127,7 @@ def fastest(rows: list[dict[str, Any]], case: str, bar: str, most: tuple[float, 
 
 
 def report(rows: list[dict[str, Any]], met: list[dict[str, Any]]) -> None:
-    """Print every row, then who meets which bars at the lowest cost."""
+    """Print every row, then the contender that meets each bar at the lowest cost."""
     print(f"{'case':8} {'kind':9} {'threads':8} {'size':>9} {'V %':>8} {'A %':>8} {'ms':>9}")
     for row in rows:
         marks = [f"{100 * row[key]:8.4f}" if row[key] is not None else 8 * " " for key in ("volume", "lateral_area")]

@@ -29,7 +29,7 @@ from jaxtissue.measurement.quadrature import plan_lines
 
 CELLS, REPLICAS = (500, 10_000, 100_000, 1_000_000), (1, 64, 1024)
 DRAFT = jt.PRESETS["draft"]
-FLOPS = 13  # of `views.meeting`: the sagitta 4, the foot 1, the square 6, the reach 2
+FLOPS = 13  # of `axial_lines.crossing`: the sagitta 4, the foot 1, the square 6, the reach 2
 BYTES = 17_000  # memory that a cell takes in a sweep, its candidates most of it (see scale.py)
 SWEEPS = 3 * SPAN
 AGREE = 1e-4  # of the mean cell: as far as two devices may differ in one cell, in float32

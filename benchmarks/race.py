@@ -1,6 +1,6 @@
 """One diagram and one sweep side by side with the C++ peer, on the paper's Table 1 (L = 100, R_b = 10).
 
-Everybody has one thread. Ours counts lists and coloring in. The peer's IS-MH makes whole diagrams, as the
+Every contender has one thread. Ours counts lists and coloring in. The peer's IS-MH makes whole diagrams, as the
 paper does, by the rule of two hops; its incremental MH changes one live triangulation. All start from the
 same random tissue and play as many sweeps as fit the budget. Energies are compared after equal sweeps: by
 `fine` on the backbones where a program tells them, else by its own measure.
@@ -27,7 +27,7 @@ SWEEPS = WARM_UP + 4 * SPAN
 
 
 def our_diagram(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> dict[str, Any]:
-    """A diagram on the lists a gauge keeps, and one on complete lists found anew: seconds, and sizes."""
+    """Seconds and sizes of a diagram on the list a `CellMeasurer` keeps, and of one on complete lists found anew."""
     seconds, sizes = [], None
     begin = time.perf_counter()
     jax.block_until_ready(jt.measure_tissue(place, tube, size, surfaces=False, refine=False))
@@ -44,8 +44,10 @@ def our_diagram(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> dict[s
 
 
 def our_sweeps(place: np.ndarray, tube: jt.Tube, size: jt.Resolution) -> dict[str, Any]:
-    """Seconds of the first sweep and of a typical one, all that was played twice counted in, warm; and the
-    backbones after every sweep."""
+    """Warm seconds of the first sweep and of a typical one, and the backbones after every sweep.
+
+    Sweeps that were played twice are counted in.
+    """
     model = jt.tube_model(tube, len(place))
     annealer = jt.Annealer(model, size, "is-mh", 0, jt.constant_schedule(2.0, SWEEPS))
     state, records, trail = annealer.start(place), [], [place]
@@ -68,7 +70,7 @@ def fine_energy(place: Any, tube: jt.Tube) -> float:
 
 
 def peer_row(peer: Peer, place: np.ndarray, tube: jt.Tube, rival: tuple[str, int], budget: float) -> dict[str, Any]:
-    """One diagram and some sweeps of the peer."""
+    """One diagram and several sweeps of the peer."""
     name, samples = rival
     found = peer.diagram(place, tube, samples)
     run = (peer.is_mh if name == "IS-MH" else peer.mh)(place, tube, samples, SWEEPS, budget)
@@ -79,7 +81,7 @@ def peer_row(peer: Peer, place: np.ndarray, tube: jt.Tube, rival: tuple[str, int
 
 
 def race(radius: float, n: int, peer: Peer | None, arguments: Any) -> dict[str, Any]:
-    """One configuration: everybody's turn, and that several times over; medians of the seconds."""
+    """One configuration: a turn of each contender, several times over; medians of the seconds."""
     tube = jt.Tube(100.0, radius, 10.0)
     place = np.asarray(tube.random_positions(jax.random.key(0), n))
     sizes = {name: as_resolution(name) for name in arguments.resolutions}
@@ -166,7 +168,7 @@ def main() -> None:
     """Race in every configuration, print tables, write the JSON."""
     parser = common.options(__doc__ or "", "race", peer=True)
     parser.add_argument("--quick", action="store_true", help="n = 500 only")
-    parser.add_argument("--repeats", type=int, default=3, help="turns of everybody")
+    parser.add_argument("--repeats", type=int, default=3, help="turns of each contender")
     parser.add_argument("--budget", type=float, default=5.0, help="seconds for a peer's sweeps, else extrapolated")
     parser.add_argument(
         "--resolutions", nargs="+", default=RESOLUTIONS, help="of ours; energies are those of the first"

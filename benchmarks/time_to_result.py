@@ -1,4 +1,4 @@
-"""How long one waits for a result: all that `anneal` does beside its sweeps, and a map of 10^6 pixels.
+"""The waiting time for a result: all that `anneal` does beside its sweeps, and a map of 10^6 pixels.
 
 `jaxtissue anneal` of the paper's tube, made longer for more cells, 100 sweeps at R_a = 5, each run in its own
 process. The first fills a cache of compiled programs, the others are timed: what is not sweeps is the wall
