@@ -52,8 +52,10 @@ def keep_compiled(tmp_path_factory, worker_id):
 
 
 def forget_programs() -> None:
-    """Forget what is compiled, once nothing is being compiled: under the options of another module it would
-    be kept as if it were of these."""
+    """Forget what is compiled, once nothing is being compiled.
+
+    Under the options of another module it would be kept as if it were compiled under the present ones.
+    """
     for program in PROGRAMS.values():
         if isinstance(program, Future):
             program.exception()

@@ -24,7 +24,7 @@ SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimete
 
 
 def off(found, expected) -> float:
-    """rms over cells / mean cell."""
+    """The root mean square over cells / mean cell."""
     gap = np.asarray(found, float) - expected
     return float(np.sqrt(np.mean(gap**2)) / np.mean(expected))
 

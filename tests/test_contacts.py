@@ -173,8 +173,10 @@ def test_short_steps_find_nothing_more():
 
 
 def lateral_areas(positions: np.ndarray, tube: Tube) -> np.ndarray:
-    """Of each cell, from the exact intervals on lines along the axis: the wall x = h(r, t) has the area
-    sqrt(1 + h_r^2 + h_t^2 / r^2) r dr dt."""
+    """The lateral area of each cell, from the exact intervals on lines along the axis.
+
+    The wall x = h(r, t) has the area sqrt(1 + h_r^2 + h_t^2 / r^2) r dr dt.
+    """
     node, weight = np.polynomial.legendre.leggauss(24)
     wall, count = tube.basal_radius - tube.apical_radius, 240
     radius = np.repeat(tube.apical_radius + wall * (node + 1) / 2, count)

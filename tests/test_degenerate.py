@@ -129,8 +129,10 @@ def test_walls_in_a_thin_lumen_have_their_areas(number):
 
 
 def count_parts(places: np.ndarray, tube: Tube, layers: int, lines: int) -> np.ndarray:
-    """Connected parts of the cells by brute force: their intervals on lines along the axis, joined where
-    those of lines beside each other overlap."""
+    """Connected parts of the cells by brute force: their intervals on lines along the axis.
+
+    Intervals are joined where those of neighboring lines overlap.
+    """
     n, axial = len(places), places[:, 0]
     radius = np.linspace(tube.apical_radius, tube.basal_radius, layers)[:, None, None]
     turn = (np.arange(lines) * 2 * np.pi / lines)[:, None] - places[:, 1]

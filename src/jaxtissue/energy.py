@@ -1,4 +1,4 @@
-"""The energy of a tissue: a sum of per-cell terms (paper, section 3.1)."""
+"""The energy of a tissue, a sum over the cells (paper, section 3.1)."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -45,7 +45,7 @@ def volume_elasticity(cells: CellGeometry, model: "Model") -> Float[Array, "cell
 
 @usual_modes()
 def lateral_tension(cells: CellGeometry, model: "Model") -> Float[Array, "cells"]:
-    """The energy Lambda A_i of the lateral walls of each cell, those that it shares with other cells.
+    """The energy Lambda A_i of the lateral walls that each cell shares with other cells.
 
     The second term of the paper's energy (section 3.1).
 

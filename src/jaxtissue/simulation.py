@@ -1,4 +1,4 @@
-"""Annealing in one call: the function most people start with."""
+"""Annealing in one call, the usual way to begin."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,13 +25,13 @@ Callback = Callable[[SweepRecord, Float[np.ndarray, "n 2"]], Any]
 
 @dataclass(frozen=True)
 class AnnealResult:
-    """What annealing gave.
+    """The result of annealing (paper, section 4.3).
 
     Attributes:
         positions: (axial, angle) of each backbone after the last sweep, [n, 2].
-        cells: Sizes of the cells then, with bounds of their errors, measured at `standard`.
-        records: A row for the initial state and one for each sweep.
-        model: The energy that was annealed under.
+        cells: The sizes of the cells after it, with bounds of their errors, measured at `standard`.
+        records: A record of the initial state and one of each sweep.
+        model: The energy of the annealing.
     """
 
     positions: Float[np.ndarray, "n 2"]
@@ -41,11 +41,11 @@ class AnnealResult:
 
     @property
     def energies(self) -> Float[np.ndarray, "rows"]:
-        """The energy before the first sweep and after each, [sweeps + 1], by the annealing's own resolution."""
+        """The energy before the first sweep and after each, [sweeps + 1], at the resolution of the annealing."""
         return np.array([record.energy for record in self.records])
 
     def to_pandas(self) -> Any:
-        """The records as a pandas `DataFrame`, a row for each sweep. Needs pandas."""
+        """The records as a pandas `DataFrame`, a row for each sweep; raises `ImportError` without pandas."""
         return as_frame({name: [getattr(record, name) for record in self.records] for name in SweepRecord._fields})
 
     def __repr__(self) -> str:
@@ -84,15 +84,15 @@ def anneal(
         positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
         domain: The tube that they stand in.
         sweeps: Number of sweeps; in each, every cell makes one move.
-        temperature: T, in the unit of the energy, or one for each sweep, [sweeps].
-        seed: Of the moves, 0 to 2^32 - 1.
+        temperature: T, in the unit of the energy: one number, or one for each sweep, [sweeps].
+        seed: The seed of the moves, 0 to 2^32 - 1.
         resolution: How finely cells are measured during the sweeps: a preset or layers and lines.
         model: The energy; the paper's by default, E = sum of K/2 (Vbar - V)^2 + Lambda A with K = 1, Lambda = 0.4.
         callback: Called as `callback(record, positions)` after each sweep; ends the run where it returns True. Sweeps
-            are played some at a time, so that up to nine more may have been played by then; they are left out.
+            are played up to ten at a time, so that up to nine more may have been played by then; they are left out.
 
     Returns:
-        Positions, cells, and a record of each sweep.
+        The positions and cells after the last sweep, and a record of each sweep.
 
     Raises:
         ValueError: If the positions, the temperature, the seed, or the energy are refused; the message names the

@@ -1,4 +1,4 @@
-"""Which cell a point lies in: points in ever smaller boxes, each with the backbones that can be nearest.
+"""The cell that holds each point: points in ever smaller boxes, each with the backbones that can be nearest.
 
 A box whose list has come down to one backbone lies in one cell. Time grows as points + backbones, whatever
 the shape of the tube and however the backbones crowd (host, float64).
@@ -23,7 +23,7 @@ _BATCH = 2**15  # pairs of boxes and backbones worked on together
 
 
 class Stand(NamedTuple):
-    """Where backbones stand: from the inner to the outer radius, in the direction (cosine, sine)."""
+    """The backbones: from the inner to the outer radius, in the direction (cosine, sine)."""
 
     axial: Float64[np.ndarray, " n"]
     cosine: Float64[np.ndarray, " n"]
@@ -33,7 +33,7 @@ class Stand(NamedTuple):
 
 
 class Lists(NamedTuple):
-    """Backbones of some places, `number` of them each, one place after the other, ascending."""
+    """The backbones of several places, `number` for each, one place after the other, ascending."""
 
     cell: Int64[np.ndarray, " pairs"]
     number: Int64[np.ndarray, " places"]
@@ -143,7 +143,7 @@ def hand_down(lists: Lists, parent: Int64[np.ndarray, " parts"]) -> Lists:
 
 
 def take(lists: Lists, chosen: Bool[np.ndarray, " places"]) -> Lists:
-    """The lists of some places."""
+    """The lists of the chosen places."""
     return Lists(lists.cell[np.repeat(chosen, lists.number)], lists.number[chosen])
 
 
@@ -199,7 +199,7 @@ def _label(chunk: _Chunk, cells: Stand) -> Int64[np.ndarray, " p"]:
 
 
 def _split(boxes: _Boxes, chunk: _Chunk, level: int) -> _Boxes:
-    """The eight cubes in each cube, those with points; few points become single ones."""
+    """The parts of each cube that hold points, of its eight; a small number of points become single ones."""
     point = _ranges(boxes.start, boxes.size)
     box = np.repeat(np.arange(len(boxes.size)), boxes.size)
     begins = chunk.apart[point] >= 1 << 3 * max(_DEPTH - level, 0)

@@ -1,4 +1,4 @@
-"""How evenly the backbones are spread: separation, covering radius and what they bound (paper, Section 2)."""
+"""The spread of the backbones: separation, covering radius, and the bounds they set (paper, section 2.1)."""
 
 import math
 
@@ -152,7 +152,7 @@ def tube_neighbor_bound(tightness: float, hops: int = 1) -> float:
 def _halved(
     half: Float[np.ndarray, "2 1"],
 ) -> tuple[Float[np.ndarray, "2 1"], Float[np.ndarray, "2 parts"]]:
-    """A patch cut in two where it is long: half the sides of its parts; their centers seen from its."""
+    """A patch cut in two where it is long: half the sides of its parts, and their centers relative to its center."""
     smaller = np.where(2 * half > half.max(), half / 2, half)
     steps = [np.unique([small - large, large - small]) for small, large in zip(smaller[:, 0], half[:, 0], strict=True)]
     return smaller, np.stack(np.meshgrid(*steps, indexing="ij")).reshape(2, -1)

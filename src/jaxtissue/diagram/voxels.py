@@ -1,4 +1,4 @@
-"""Where the diagram is sampled: voxels of the tissue and their volumes."""
+"""Samples of the diagram: voxels of the tissue and their volumes."""
 
 import math
 

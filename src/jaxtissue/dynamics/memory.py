@@ -69,7 +69,7 @@ def tell_memory(cells: int, tube: Tube, resolution: Resolution | str, float_byte
 
 
 def describe_bytes(count: int) -> str:
-    """A number of bytes in GB, as people read it.
+    """A number of bytes as text, in GB.
 
     >>> describe_bytes(1_520_000_000)
     '1.5 GB'

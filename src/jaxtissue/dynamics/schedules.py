@@ -1,4 +1,4 @@
-"""Temperatures of the sweeps, and when to stop."""
+"""Temperatures of the sweeps, and the end of a run that has stalled."""
 
 from collections.abc import Sequence
 

@@ -47,7 +47,7 @@ class TissueSurvey:
         if self._last and self._last[0] is positions:
             return self._last[1]
         sides = yield from self._find(positions, expected)
-        # lists are not padded to those of others: their width sets how finely `stop` compares
+        # lists are not padded to those of other replicas: their width sets how finely `bounding_neighbor` compares
         call = self._looked_at(positions, sides)
         answer = yield from self._asker.ask(
             Request(survey_state, call, seldom=True, meanwhile=partial(mutual_entries, sides))

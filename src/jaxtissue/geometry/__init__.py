@@ -1,1 +1,1 @@
-"""What a tissue is made in: backbones, the tube, and the one gate for positions."""
+"""The geometry of a tissue: backbones, the tube, and the one gate for positions."""

@@ -24,7 +24,7 @@ X64 = "use 64 bits (--x64, jax_enable_x64)"
 
 
 class Rows(NamedTuple):
-    """How messages name the rows of positions: `prefix`, what a row is, and its number."""
+    """The names of rows of positions in messages: `prefix`, the noun for a row, and its number."""
 
     prefix: str = ""
     noun: str = "backbone"
@@ -122,7 +122,7 @@ def _check_shape(shape: tuple[int, ...]) -> None:
 
 
 class _Near(NamedTuple):
-    """Pairs of backbones i < j, in order, how near they are as rounded, and how much that moved them."""
+    """Pairs of backbones i < j, in order, their distances as rounded, and how far rounding moved them."""
 
     pairs: Int[np.ndarray, "m 2"]
     apart: Float[np.ndarray, " m"]  # on the basal surface, in units of R_b
@@ -182,7 +182,7 @@ def _warn_of_near(place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n
 
 
 def check_count(cells: int, tube: Tube, mean_volume: float) -> None:
-    """Raise `ValueError` unless so many cells of the mean volume fill the tube.
+    """Raise `ValueError` unless that number of cells of the mean volume fills the tube.
 
     >>> check_count(25, Tube(10, 1, 2), Tube(10, 1, 2).volume / 20)
     Traceback (most recent call last):

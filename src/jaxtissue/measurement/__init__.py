@@ -1,1 +1,1 @@
-"""One cell's sizes: the quadrature, the lines parallel to the axis, the walls that bound them."""
+"""The sizes of a cell: the quadrature, the lines parallel to the axis, and the walls that bound them."""

@@ -1,4 +1,4 @@
-"""Backbones and lines as seen from a backbone, and where the wall against a rival meets a line.
+"""Backbones and lines relative to a backbone, and the reach of the wall against a rival on a line.
 
 On a line of constant radius r and angle t the squared distance to backbone j is (x - x_j)^2 + f_j, with
 f_j = y^2 + (s - z)^2, z = r cos(t - t_j), y = r sin(t - t_j), s = max(z, R_a) the radius of the foot. All is
@@ -48,7 +48,7 @@ class LineFrame(NamedTuple):
         return self.turned.imag
 
     def foot_depth(self, tube: Tube) -> Array:
-        """By how much the own foot lies below the line, m."""
+        """The depth of the own foot below the line, m."""
         return smaller(self.sagitta, self.radius - tube.apical_radius)
 
     def square(self, tube: Tube) -> Array:

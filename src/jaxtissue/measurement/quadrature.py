@@ -1,4 +1,4 @@
-"""Where cells are measured: lines parallel to the axis, in layers of constant radius."""
+"""The lines on which cells are measured: parallel to the axis, in layers of constant radius."""
 
 import functools
 import math

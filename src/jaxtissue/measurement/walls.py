@@ -1,4 +1,4 @@
-"""Where cells end: on each line parallel to the axis the walls against the nearest rivals behind and ahead.
+"""The ends of cells: on each line parallel to the axis the walls against the nearest rivals behind and ahead.
 
 With (x - x_j)^2 + f_j the squared distance to backbone j, as in `axial_lines`, a cell is one interval on each line;
 seen from x_i it ends where the nearest rival takes over, at a *reach* of
@@ -97,7 +97,7 @@ def in_chunks(rivals: RelativeCoords) -> RelativeCoords:
 
 
 def least_reach(grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube, truth: Array) -> Array:
-    """How far each cell reaches on each line, behind and ahead, [lines, 2, cells]: as in its `walls`."""
+    """The reach of each cell on each line, behind and ahead, [lines, 2, cells], as in its `walls`."""
     line = jax.tree.map(lambda table: table[:, None], grid)
 
     def nearer(least: Array, some: RelativeCoords) -> tuple[Array, None]:

@@ -44,7 +44,7 @@ def find_candidates(
 
 
 class Check(NamedTuple):
-    """What the lines of `check_angles` show of candidate lists, and of the cells."""
+    """The defect of neighbor lists on the lines of `check_angles`, and the cells that reach far."""
 
     defect: Any  # the lists' `tiling_defect`
     is_far: Any  # [n], it has a part farther round than `far_angle`
@@ -231,7 +231,7 @@ def pad_lists(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.
 
 
 def check_angles(tube: Tube, cells: int) -> Float[np.ndarray, "layers lines"]:
-    """Where the lines of `tiling_defect` stand: 16 in each of 5 layers, more where more cells are around.
+    """The angles of the lines of `tiling_defect`: 16 in each of 5 layers, more where more cells are around.
 
     Layers stand between each other, so that together there are two lines for each basal cell width.
     """
@@ -275,7 +275,7 @@ def check_lists(
     near = radius * jnp.cos(jnp.minimum(far_angle(tube, n, radius), math.pi))
 
     def fill(start: Array) -> tuple[Float[Array, "lines"], Bool[Array, "width"]]:
-        """What a block of cells fills of each line beyond its share of the cells: sums that stay small."""
+        """The part of each line that a block of cells fills beyond its share of the cells: sums that stay small."""
         which = start + jnp.arange(width)
         cells = jnp.minimum(which, n - 1)
         numbers = lists[cells].transpose(2, 1, 0)

@@ -119,7 +119,7 @@ def plot_runs(table: Table, as_paper: bool = True) -> tuple[Figure, np.ndarray]:
 
 
 def plot_volume_ranks(table: Table, mean_volume: float, length: float) -> tuple[Figure, np.ndarray]:
-    """Sorted volumes after some sweeps, mean and spread, and where cells stay off (paper, Fig. 11)."""
+    """Sorted volumes after the kept sweeps, mean and spread, and where cells stay off (paper, Fig. 11)."""
     figure = Figure(figsize=(12, 4.8), layout="constrained")
     axes = figure.subplots(1, 2)
     sweeps = np.unique(table["sweep"])

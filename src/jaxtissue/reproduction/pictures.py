@@ -55,7 +55,7 @@ class View(NamedTuple):
 def plot_cell_in_tissues(
     tube: Tube, cell: int, tissues: Sequence[tuple[str, Float[np.ndarray, "n 2"], EdgeGraph]]
 ) -> tuple[Figure, np.ndarray]:
-    """One cell in some tissues, each with its title, positions and edges, at one scale (paper, Fig. 5)."""
+    """One cell in several tissues, each with its title, positions and edges, at one scale (paper, Fig. 5)."""
     figure = Figure(figsize=(4.6 * len(tissues), 5.6), layout="constrained")
     axes = figure.subplots(1, len(tissues), subplot_kw={"projection": "3d"}, squeeze=False)[0]
     shapes, heights = [], [float(tube.apical_radius), float(tube.basal_radius)]

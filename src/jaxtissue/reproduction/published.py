@@ -1,4 +1,4 @@
-"""Numbers that others have published, to set beside ours.
+"""Published numbers, to set beside ours.
 
 The paper's are from its text and Table 1, or read off the axes of its figures; the gland's are the means of
 80 cells of eight wild-type fly larval salivary glands.

@@ -121,7 +121,7 @@ def _judge_start(claims: Claims, start: np.ndarray, at: str, plan: Plan) -> None
 
 
 def judge_volumes(tables: Mapping[str, Table], plan: Plan) -> Claims:
-    """Volumes after some sweeps; tables: `fig11`, and `fig10` for phi where it is there."""
+    """Volumes after the kept sweeps; tables: `fig11`, and `fig10` for phi where it is there."""
     claims, table = Claims("fig11"), tables["fig11"]
     sweeps, mean = np.unique(table["sweep"]), table["volume"][table["sweep"] == 0].mean()
     spread = [table["volume"][table["sweep"] == sweep].std() / mean for sweep in sweeps]

@@ -79,7 +79,7 @@ def relax_lloyd(
     """Lloyd's method: every backbone moves to the center of its cell, over and over.
 
     The center is the mean axial position of the cell's tissue and its mean direction around the axis, the
-    angle of sum of v exp(i t), over some 230 voxels a cell of volume v, in 4 layers and square on the basal
+    angle of sum of v exp(i t), over about 230 voxels a cell of volume v, in 4 layers and square on the basal
     surface. No energy is involved: cells become compact, and their volumes alike.
 
     >>> relax_lloyd(np.array([[1.0, 0.0], [2.0, 0.1]]), Tube(8, 1, 2))[:, 0].round().tolist()
@@ -104,8 +104,8 @@ def relax_lloyd(
 def _label(points: Float[Array, "p 3"], place: Float[np.ndarray, "n 2"], tube: Tube) -> Int[np.ndarray, " p"]:
     """The nearest backbone of each point; points come in rising order along the axis.
 
-    Some thousand points at a time are compared with the backbones near them along the axis only, as wide as
-    they need: until none is nearer than the nearest of those left out could be.
+    About a thousand points at a time are compared with the backbones near them along the axis only, as wide as
+    they need: until none is nearer than the nearest backbone left out could be.
     """
     width, backbones = min(LISTED, len(place)), tube.embed(jnp.asarray(place))
     slabs = -(-len(points) // SLAB)

@@ -1,4 +1,4 @@
-"""Tables of backbones as people have them: CSV with commas, semicolons or tabs, read whole or refused."""
+"""Tables of backbones: CSV with commas, semicolons or tabs, read whole or refused."""
 
 import csv
 import math

@@ -1,4 +1,4 @@
-"""Runs annealed together, some at a time: replicas of one program."""
+"""Runs annealed together, a batch at a time: replicas of one program."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ class Outcome(NamedTuple):
 
 
 def usual_batch() -> int:
-    """Rows annealed together: some for each processor; for a GPU enough to fill it."""
+    """The number of rows annealed together: several for each processor; for a GPU enough to fill it."""
     devices = jax.local_devices()
     return len(devices) * (4 if devices[0].platform == "cpu" else 64)
 

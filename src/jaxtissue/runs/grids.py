@@ -1,4 +1,4 @@
-"""A grid of annealing runs: every combination of some values, a row each."""
+"""A grid of annealing runs: every combination of the given values, a row each."""
 
 import hashlib
 import itertools

@@ -92,7 +92,7 @@ def plot_energy(
 def plot_volumes(
     sweeps: Sequence[int], volumes: Sequence[Float[ArrayLike, "n"]], mean_volume: float
 ) -> tuple[Figure, Axes]:
-    """The cells' volumes after some sweeps, each sorted, against the mean volume (paper, Fig. 11)."""
+    """The cells' volumes after the given sweeps, each sorted, against the mean volume (paper, Fig. 11)."""
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     axes = figure.subplots()
     colors = mpl.colormaps["viridis"](np.linspace(0, 0.9, len(sweeps)))
@@ -138,7 +138,7 @@ def plot_grid(table: Mapping[str, ArrayLike], axes: Sequence[str]) -> tuple[Figu
 
 
 def plot_surfaces(tube: Tube, tissues: Sequence[Tissue]) -> tuple[Figure, np.ndarray]:
-    """The unrolled basal (top) and apical (bottom) surface of some tissues, one column each (paper, Fig. 9).
+    """The unrolled basal (top) and apical (bottom) surface of tissues, one column each (paper, Fig. 9).
 
     A cell's color is its volume / the tissue's mean volume; lines are the walls, dots the backbones' ends.
     The axes come as an array [2, tissues].

@@ -1,4 +1,4 @@
-"""How many processor cores this process may use, and work shared out among them."""
+"""The number of processor cores that this process may use, and work shared out among them."""
 
 import multiprocessing
 import os
@@ -17,7 +17,7 @@ def usable_cores() -> int:
 
 
 def usable_threads() -> int:
-    """How many threads to work with on the host: one in a worker process, beside which others work."""
+    """The number of threads to work with on the host: one in a worker process."""
     return 1 if multiprocessing.parent_process() else usable_cores()
 
 

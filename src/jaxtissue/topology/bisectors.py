@@ -164,9 +164,9 @@ class Bisectors:
     ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
         """As `nearest_competitor`, with the length that is safe to go ahead on a curve of given tangent.
 
-        It is `reach` at most, and on it no unseen wall can be crossed and crossed back; `turn` is the derivative of the tangent.
-        Distances change no faster than places, so a backbone that leads within reach is now at most as far as the own
-        backbone will be, and reach more; and |x_j - x| <= d_j: no list of rivals is needed.
+        It is `reach` at most, and on it no unseen wall can be crossed and crossed back; `turn` is the derivative of the
+        tangent. Distances change no faster than places, so a backbone that leads within reach is now at most as far as
+        the own backbone will be, and reach more; and |x_j - x| <= d_j: no list of rivals is needed.
         """
         if not len(point):
             return np.zeros(0, int), np.zeros(0), np.zeros(0)

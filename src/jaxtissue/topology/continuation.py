@@ -41,7 +41,7 @@ class Fronts(NamedTuple):
     gone: Float[np.ndarray, " m"]
 
     def of(self, chosen: np.ndarray | slice) -> "Fronts":
-        """Some of the fronts, by mask or place."""
+        """The chosen fronts, by mask or place."""
         return Fronts(*(column[chosen] for column in self))
 
     @staticmethod
@@ -157,7 +157,7 @@ class Segments(NamedTuple):
     segment: Int[np.ndarray, " s"]
 
     def split(self, chosen: np.ndarray, middle: np.ndarray, along: np.ndarray) -> "Segments":
-        """The chosen ones parted at points of given tangents; the second parts come last."""
+        """The chosen segments parted at points of given tangents; the second parts come last."""
         points, tangents = (
             np.concatenate([ends, np.stack([cut, ends[chosen, 1]], axis=1)])
             for ends, cut in ((self.points, middle), (self.tangents, along))

@@ -64,7 +64,7 @@ def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
             best = rank, graph, weights.copy()
         if not any(rank):
             break
-        if not tied.any() and care < CARE:  # some step crossed a wall and crossed it back
+        if not tied.any() and care < CARE:  # a step crossed a wall and crossed it back
             care *= 2
             continue
         parted = tied if tied.any() else lost
@@ -121,7 +121,7 @@ class _Growing:
         self.walked: list[tuple[np.ndarray, np.ndarray]] = []  # fronts, and the points between which they went
 
     def grow(self, seeds: Seeds) -> None:
-        """Follow the edges at seeds, and all that are joined to them."""
+        """Follow the edges at seeds, and all edges joined to them."""
         sign, end = np.ones(len(seeds.point)), np.full(len(seeds.point), -1)
         fronts = self._begin(seeds.point, seeds.labels, sign, end)
         while len(fronts.point):

@@ -1,4 +1,4 @@
-"""Laws of connectivity: how neighbors grow with the surface ratio, and the bounds that tightness sets."""
+"""Laws of connectivity: the growth of neighbors with the surface ratio, and the bounds that tightness sets."""
 
 import math
 import warnings

@@ -1,10 +1,10 @@
-"""Where to begin to follow edges, so that every part of the diagram is reached.
+"""Seeds, the points where edges begin to be followed, so that every part of the diagram is reached.
 
-On either surface each backbone's end, moved along x, meets a wall or an end of the tube. That reaches all
-edges there: each line along x meets a cell once, so a cell's patch of a surface has no hole, and one that
-goes round the lumen holds its own backbone; the circles at the ends are edges too. The end planes hold no
-edges apart from these: d_j^2 - d_a^2 there has no extremum. Within the tissue an edge joins none of all these
-only round a *lens*, the part of a cell across the lumen that lies within the wall of two others.
+On either surface each backbone's end, moved along x, meets a wall or an end of the tube. That reaches all edges there:
+each line along x meets a cell once, so a cell's patch of a surface has no hole, and one that goes round the lumen holds
+its own backbone; the circles at the ends are edges too. The end planes hold no other edges: d_j^2 - d_a^2 there has no
+extremum. Within the tissue an edge is joined to none of these edges only round a *lens*, the part of a cell across the
+lumen that lies within the wall of two other cells.
 """
 
 from typing import NamedTuple
@@ -79,7 +79,7 @@ def seed_lenses(
 
     The balls hold the walls and every backbone that comes as near to them as their own cells. On the wall of a and b,
     d_c^2 - d_a^2 = f_c - (1 - k) f_a - k f_b + const with k = (x_c - x_a) / (x_b - x_a) and d_j^2 = (x - x_j)^2 + f_j.
-    A minimum has 0 < k < 1, the foot of c at its apical end and those of a and b above theirs; there half the second
+    A minimum has 0 < k < 1, the foot of c at its apical end and the feet of a and b above theirs; there half the second
     derivative is (1 - k) u_a u_a^T + k u_b u_b^T, with u_j the directions of the backbones.
     """
     way = np.stack([bisectors.cosine, bisectors.sine], axis=1)

@@ -50,7 +50,7 @@ def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold:
             they are.
 
     Returns:
-        All of these.
+        The results, in one record.
 
     Raises:
         ValueError: If `as_positions` refuses the positions, or if the threshold is negative or not a number.
@@ -80,7 +80,7 @@ def tabulate_connectivity(connectivity: Connectivity) -> dict[str, np.ndarray]:
         connectivity: What `find_connectivity` gave.
 
     Returns:
-        Columns [n] by name: `neighbors`; of these `apical_basal_neighbors`, `apical_neighbors`, `basal_neighbors` and
+        Columns [n] by name: `neighbors`; by kind `apical_basal_neighbors`, `apical_neighbors`, `basal_neighbors` and
         `internal_neighbors`; `transitions`, `is_scutoid`, `is_ring` and `pieces`.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
@@ -154,7 +154,7 @@ def polygon_classes(
         `sides_times_neighbor_sides`, n m(n) (Aboav-Weaire: linear in n).
 
     Raises:
-        ValueError: If the surface is another, or if the areas are those of another number of cells.
+        ValueError: If the surface is unknown, or if the areas are not one for each cell.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> table = polygon_classes(four, [1, 1, 2, 2], inner_only=False)
@@ -189,7 +189,7 @@ def tissue_graph(connectivity: Connectivity, columns: Mapping[str, np.ndarray] |
 
     Args:
         connectivity: What `find_connectivity` gave.
-        columns: Values of each cell, [n] by name; those of `tabulate_connectivity` if None.
+        columns: Values of each cell, [n] by name; the columns of `tabulate_connectivity` if None.
 
     Returns:
         The graph. Nodes have the values of `columns`; edges have `area`, `apical_length`, `basal_length`, `kind` and

@@ -1,4 +1,4 @@
-"""Sizes of cells from their traced faces, in float64: right to what tracing leaves, which the errors tell."""
+"""Sizes of cells from their traced faces, in float64: with bounds of the errors that tracing leaves."""
 
 import warnings
 from typing import NamedTuple
@@ -73,10 +73,10 @@ def trace_sizes(
     cells: Int[np.ndarray, " cells"] | None = None,
     rivals: Int[np.ndarray, "cells rivals"] | None = None,
 ) -> TracedSizes | None:
-    """Sizes of all cells, or of some of them; None where edges could not be followed.
+    """Sizes of all cells, or of the given `cells`; None where edges could not be followed.
 
-    Of some cells, only they and the `rivals` that may bound them are traced, if these are less than half of
-    the tissue.
+    For given cells, only they and the `rivals` that may bound them are traced, if these are less than half of the
+    tissue.
     """
     n = len(positions)
     traced = np.arange(n)
