@@ -1,4 +1,4 @@
-"""What can be said on the command line, and the checks that need no file."""
+"""The options of the command line, and the checks that need no file."""
 
 import argparse
 import math

@@ -49,7 +49,7 @@ class Request(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """What will most likely be asked for: it is compiled beside what the task does meanwhile."""
+    """A request that is likely to follow: its program is compiled while the task goes on."""
 
     function: Callable[..., Any]
     arguments: tuple
@@ -171,7 +171,7 @@ def _fitted(request: Request, sizes: tuple[int, ...]) -> tuple:
 
 
 def _shapes(arguments: Any) -> tuple:
-    """What a program is compiled for."""
+    """The shapes and types that a program is compiled for."""
     leaves, structure = jax.tree.flatten(arguments)
     return structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
 

@@ -1,4 +1,4 @@
-"""What of JAX's settings decides results, held to what this library is written for."""
+"""The settings of JAX that decide results, held to the values that this library is written for."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager

@@ -32,7 +32,7 @@ LOADED: set[Path] = set()
 
 
 def key_of(function: Callable[..., Any], arguments: Any, options: Mapping[str, Any], devices: int) -> str | None:
-    """What the program of a function of this package is kept under; none where programs are not kept."""
+    """The key of the program of a function of this package; none where programs are not kept."""
     if not is_on or _folder() is None or jax.process_count() > 1:  # devices of others are not found again
         return None
     leaves, structure = jax.tree.flatten(arguments)
@@ -119,7 +119,7 @@ def _surroundings() -> tuple:
 
 
 def _processor() -> str:
-    """What the processor can do: machines that are not alike may share a home."""
+    """The features of the processor: machines that are not alike may share a home."""
     with suppress(OSError), open("/proc/cpuinfo") as file:
         return next((line for line in file if line.startswith(("flags", "Features"))), platform.processor())
     return platform.processor()

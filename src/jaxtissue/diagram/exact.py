@@ -1,4 +1,4 @@
-"""The yardstick: cells of sampled backbones from Qhull, clipped exactly to the tube (host, float64).
+"""The exact path: cells of sampled backbones from Qhull, clipped exactly to the tube, in 64 bits on the host.
 
 Each backbone is sampled at equally spaced points, both ends included. The Voronoi facets between samples of
 different backbones tile the walls of the cells; they are clipped in closed form. Slow and accurate: for tests
@@ -211,7 +211,7 @@ def _require_filled(volume: Float64[np.ndarray, " n"], tube: Tube) -> None:
 
 
 def _patches_at(end: float, facets: _Facets, clip: Clip) -> Float64[np.ndarray, " f"]:
-    """What each facet adds to the area of a's patch of the disc at x = end (and takes from b's)."""
+    """The area that each facet adds to a's patch of the disc at x = end, and takes from b's."""
     tail, head = facets.edges.x > end
     # a ring crosses the plane upwards as often as downwards
     crossing = np.stack([np.flatnonzero(head & ~tail), np.flatnonzero(tail & ~head)])

@@ -66,7 +66,8 @@ def label_volumes(
 ) -> Float[Array, "{count_cells}"]:
     """The volume of each cell from labeled samples, V_i = sum of the weights of the samples with label i.
 
-    The paper measures cells in this way (section 3.1); `measure_tissue` is the accurate measurement.
+    Together with `cylindrical_voxels` and `label_points` this measures cells by counting, less accurately than
+    `measure_tissue`; the paper samples the backbones instead (section 3.1).
 
     Args:
         labels: The cell that holds each sample, [p].

@@ -107,9 +107,9 @@ def narrow(
 ) -> tuple[Lists, Float64[np.ndarray, " places"]]:
     """Keep, of the backbones listed for each ball, those that can be nearest in it; and the distances of the centers.
 
-    With q the feet and j nearest to the center, backbone i is nowhere nearer than j in a ball of radius r if d_i^2 -
-    d_j^2 > 2 r (|q_i - q_j| + r): the gradient of that difference is 2 (q_j - q_i), and a foot moves no farther than
-    its point. In a ball of radius 0 only j is left, and of several the one with the lowest index.
+    With q the feet and j nearest to the center, backbone i is nowhere nearer than j in a ball of radius r if
+    d_i^2 - d_j^2 > 2 r (|q_i - q_j| + r): the gradient of that difference is 2 (q_j - q_i), and a foot moves no
+    farther than its point. In a ball of radius 0 only j is left, and of several the one with the lowest index.
     """
     cell, count = lists
     foot_x, axis_y, axis_z = cells.axial[cell], cells.cosine[cell], cells.sine[cell]

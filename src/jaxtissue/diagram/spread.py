@@ -18,9 +18,9 @@ from jaxtissue.geometry.tube import Tube
 def separation(positions: Float[ArrayLike, "n 2"], tube: Tube) -> Float[Array, ""]:
     """The smallest distance between two backbones (paper, Definition 1).
 
-    Two radial segments are nearest at their apical ends, whatever the angle D between them: distance^2 = dx^2 + (2 R_a
-    sin(D/2))^2. Each backbone is compared with the next ones along the axis until those are too far along the axis
-    alone; memory is O(n).
+    Two radial segments are nearest at their apical ends, whatever the angle D between them:
+    distance^2 = dx^2 + (2 R_a sin(D/2))^2. Each backbone is compared with the next ones along the axis until these
+    are too far along the axis alone; memory is O(n).
 
     Args:
         positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes; may be traced.
@@ -140,8 +140,8 @@ def neighbor_bound(tightness: float, backbone_length: float) -> float:
 def tube_neighbor_bound(tightness: float, hops: int = 1) -> float:
     """The largest number of cells within `hops` contacts of a cell of a tube, 4 (2 h phi + 1/2)^2.
 
-    One hop bounds the neighbors (paper, Lemma 2). More hops keep its constant, where the paper gives the order O(phi^2
-    h^2) (Corollary 1). `tightness` is phi.
+    One hop bounds the neighbors (paper, Lemma 2). More hops keep its constant, where the paper gives the order
+    O(phi^2 h^2) (Corollary 1). `tightness` is phi.
 
     >>> tube_neighbor_bound(1.0), tube_neighbor_bound(1.0, hops=2)
     (25.0, 81.0)

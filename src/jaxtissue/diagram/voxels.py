@@ -16,8 +16,8 @@ def cylindrical_voxels(
 ) -> tuple[Float[Array, "voxels 3"], Float[Array, "voxels"]]:
     """The centers and exact volumes, r dx dr dt, of the voxels of an (axial, radial, angular) grid.
 
-    The grid fills the tissue, so the volumes sum to `tube.volume`. The paper counts such samples to measure cells
-    (section 3.1).
+    The grid fills the tissue, so the volumes sum to `tube.volume`. Labeled by `label_points`, they measure cells by
+    counting; the paper samples the backbones instead (section 3.1).
 
     Args:
         tube: The tube; its sizes may be traced.

@@ -1,1 +1,1 @@
-"""How a tissue moves: proposals, independent sets, Metropolis-Hastings sweeps, annealing."""
+"""The dynamics of a tissue: proposals, independent sets, Metropolis-Hastings sweeps, annealing."""

@@ -112,7 +112,7 @@ class Annealer:
 
     @usual_modes()
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
-        """The state before the first sweep. Warns where axial positions are too coarse for the moves in this precision.
+        """The state before the first sweep; warns where axial positions are too coarse for moves in this precision.
 
         Args:
             positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.

@@ -90,7 +90,7 @@ class _Rounds:
         self.full = sum(one for one, size in sizes.items() if size >= width)
 
     def _earlier(self, order: Int[np.ndarray, "n"]) -> list[list[int]]:
-        """Of each cell in order the conflicts placed before it."""
+        """The conflicts of each cell that were placed before it, in order."""
         n = len(order)
         rank = np.empty(n, np.int32)
         rank[order] = np.arange(n, dtype=np.int32)

@@ -49,8 +49,8 @@ class SweepState(NamedTuple):
 def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -> SweepState:
     """The state before the first sweep: cells measured, neighbor lists allocated, moves cut into independent sets.
 
-    Runs on the host. Lists hold for about ten sweeps of the default moves; then call it again with
-    `state.positions`, as `Annealer` does, which also checks that they have held.
+    The sets are those of the paper's section 3.3. This runs on the host. Lists hold for about ten sweeps of the default
+    moves; then call it again with `state.positions`, as `Annealer` does, which also checks that they have held.
 
     Args:
         positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
@@ -61,8 +61,8 @@ def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -
         The state for `step`.
 
     Raises:
-        ValueError: If `as_positions` refuses the positions, if their number is not the model's, or if the energy is
-            not one finite number for each cell.
+        ValueError: If `as_positions` refuses the positions, if their number is not the model's, or if the energy is not
+            one finite number for each cell.
 
     >>> from jaxtissue.energy import tube_model
     >>> from jaxtissue.geometry.tube import Tube

@@ -50,12 +50,13 @@ def clearance(
 ) -> Float[Array, "n 2 candidates"]:
     """How far each candidate would have to move on the apical surface to stop the cell on a line, squared.
 
-    To first order: d_j^2 - d_i^2 where the second in line would stop the cell, over its derivative, 2 sqrt((x - x_j)^2
-    + (r s sin(t - t_j) / R_a)^2). Infinite where there is none; TINY at least. To that are added the squares of how far
-    the cell is from the line without the backbones that stop it, since it may get there, and, at a weight of STAYS, of
-    how far the candidate is from where the cell stops now. Candidates on the side where they are not yet are taken at
-    the mirrored place, farther by the way to that side, at a weight of ACROSS. A backbone far from stopping a cell now
-    stays so for a while.
+    To first order: d_j^2 - d_i^2 where the second in line would stop the cell, over its derivative,
+    2 sqrt((x - x_j)^2 + (r s sin(t - t_j) / R_a)^2). Infinite where there is none; TINY at least.
+
+    To that are added the squares of how far the cell is from the line without the backbones that stop it, since it may
+    get there, and, at a weight of STAYS, of how far the candidate is from where the cell stops now. Candidates on the
+    side where they are not yet are taken at the mirrored place, farther by the way to that side, at a weight of ACROSS.
+    A backbone far from stopping a cell now stays so for a while.
     """
     n, dtype = len(positions), positions.dtype
     width = min(n, BLOCK)

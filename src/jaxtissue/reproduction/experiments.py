@@ -31,7 +31,7 @@ AGAIN = "remove it, and it is computed again"
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is computed. The paper's sizes (section 4.3) are the defaults.
+    """The amount of computation. The paper's sizes (section 4.3) are the defaults.
 
     The quick plan keeps the density of cells, on a shorter piece of the tube; all of it has the cells of the
     table's first row, so that little is compiled.
@@ -52,7 +52,7 @@ class Plan:
         return Tube(self.length, BASAL_RADIUS / ratio, BASAL_RADIUS)
 
     def annealing(self, ratio: float, algorithm: str = "is-mh") -> Annealing:
-        """How the tissues of a surface ratio are annealed."""
+        """The annealing of the tissues of a surface ratio."""
         return Annealing(self.tube(ratio), self.cells, self.sweeps, algorithm)
 
 
@@ -71,7 +71,7 @@ QUICK = Plan(
 
 @dataclass
 class Store:
-    """What experiments share, in a folder: a run that is stopped takes up there.
+    """The state that experiments share, in a folder: a stopped run goes on from there.
 
     `fresh` forgets the old; what has another `FORMAT` is computed anew. Damaged files raise `ValueError`,
     as does a link in the folder's place. `workers` compute what there is more than one of.

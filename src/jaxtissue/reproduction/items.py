@@ -1,4 +1,4 @@
-"""What each item of the paper's evaluation consists of: its tables and its figure."""
+"""The items of the paper's evaluation, each with its tables and its figure."""
 
 from collections.abc import Callable
 from typing import NamedTuple

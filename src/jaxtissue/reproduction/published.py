@@ -18,7 +18,7 @@ class Timing(NamedTuple):
 
 
 class Gland(NamedTuple):
-    """What was measured on glands: range of R_b / R_a, mean neighbors and transitions, share of scutoids."""
+    """Measurements on glands: range of R_b / R_a, mean neighbors and transitions, share of scutoids."""
 
     ratios: tuple[float, float]
     section_neighbors: float

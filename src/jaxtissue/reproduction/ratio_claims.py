@@ -1,4 +1,4 @@
-"""What the paper says of cells against the surface ratio (Figs. 12 to 16), judged as in `claims`."""
+"""The paper's statements on cells against the surface ratio (Figs. 12 to 16), judged as in `claims`."""
 
 from collections.abc import Mapping
 
@@ -59,7 +59,7 @@ def judge_neighbors(tables: Mapping[str, Table], plan: Plan) -> Claims:
 
 
 def explain_plateau(tables: Mapping[str, Table]) -> str:
-    """What the number of neighbors at large ratios depends on, in words; tables: `fig12`."""
+    """The dependence of the number of neighbors at large ratios, in words; tables: `fig12`."""
     table = tables["fig12"]
     means = {kind: ratio_means(table, kind) for kind in ("annealed", "lloyd", "random")}
     mean = means["annealed"]
@@ -191,12 +191,12 @@ def ratio_means(table: Table, kind: str = "annealed") -> Table:
 
 
 def at_ratio(table: Table, ratio: float, name: str) -> np.ndarray:
-    """What the seeds of annealed tissue have at a surface ratio; empty where the plan leaves it out."""
+    """The values of the seeds of annealed tissue at a surface ratio; empty where the plan leaves it out."""
     return table[name][(table["kind"] == "annealed") & (table["ratio"] == ratio)]
 
 
 def _by_threshold(table: Table, ratio: float, name: str, form: str) -> str:
-    """How a mean falls when small walls are no contacts."""
+    """The fall of a mean when small walls are no contacts."""
     endings = [f"_above_{100 * threshold:g}" for threshold in THRESHOLDS[1:]]
     numbers = " / ".join(f"{at_ratio(table, ratio, name + ending).mean():{form}}" for ending in endings)
     return f"{numbers} without walls below 1 / 2 / 5 % of the mean wall"
@@ -220,7 +220,7 @@ def _judge_law(claims: Claims, says: str, mean: Table, name: str) -> None:
 
 
 def _add_gland(claims: Claims, table: Table, name: str, told: float) -> None:
-    """What glands have, beside tissue of their ratios."""
+    """The values of glands, beside tissue of their ratios."""
     low, high = published.GLAND.ratios
     ours = []
     for kind in ("annealed", "lloyd"):

@@ -95,7 +95,7 @@ def write_report(
 
 
 def summarize(claims: Sequence[Claim]) -> str:
-    """What is met, what is not and why, in words; statements with one verdict and one reason are merged."""
+    """The claims that are met, and those that are not and why; claims with one verdict and reason are merged."""
     count = Counter(claim.verdict for claim in claims)
     counted = [f"{count[verdict]} {'is' if count[verdict] == 1 else 'are'} {verdict}" for verdict in VERDICTS]
     told = "{}, {}, {} to judge, and {}".format(*counted)

@@ -1,4 +1,4 @@
-"""What the paper says of cells, energy, volumes and phi (Figs. 5 to 11), judged as in `claims`.
+"""The paper's statements on cells, energy, volumes and phi (Figs. 5 to 11), judged as in `claims`.
 
 All statements on energies have one criterion: they must agree within `ENERGIES`, by the 95 % interval of the
 ratio of MH and IS-MH, or of a mean of as many runs as the paper's, whose range is read off its figure.

@@ -50,7 +50,7 @@ changed the same cell as another move of their round; they are made in a later r
 
 
 def judge_times(tables: Mapping[str, Table], plan: Plan) -> Claims:
-    """What the paper says of Table 1; tables: `table1` and `table1_turns`."""
+    """The paper's statements on Table 1; tables: `table1` and `table1_turns`."""
     claims, table, turns = Claims("table1"), tables["table1"], tables["table1_turns"]
     _judge_rounds(claims, table)
     _judge_speed(claims, table, turns)
@@ -129,7 +129,7 @@ def _judge_speed(claims: Claims, table: Table, turns: Table) -> None:
 
 
 def _judge_growth(claims: Claims, turns: Table) -> None:
-    """How times grow with n and fall with R_a, ratio by ratio within each turn."""
+    """The growth of times with n and their fall with R_a, ratio by ratio within each turn."""
     whole, local, fast = (_seconds(turns, name) for name in ("whole", "mh", "near"))
     cells = sorted({n for _, n in fast})
     double = [[seconds[radius, 1000] / seconds[radius, 500] for radius in RADII]

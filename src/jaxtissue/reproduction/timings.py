@@ -162,7 +162,7 @@ def _sets(annealing: Annealing, run: Any) -> dict[str, float]:
 
 
 def count_sets(positions: Float[np.ndarray, "n 2"], model: Model) -> dict[str, int]:
-    """How many sets of independent moves coloring finds under each rule, where a set may be of any size.
+    """The number of independent sets that coloring finds under each rule, where a set may be of any size.
 
     >>> from jaxtissue.energy import tube_model
     >>> tube = Tube(10, 1, 3)

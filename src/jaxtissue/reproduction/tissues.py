@@ -28,7 +28,7 @@ LISTED = 96  # backbones compared with them at first
 
 @dataclass(frozen=True)
 class Annealing:
-    """How tissues are annealed: random backbones, the paper's energy and temperature, `draft` resolution."""
+    """The annealing of tissues: random backbones, the paper's energy and temperature, `draft` resolution."""
 
     tube: Tube
     cells: int

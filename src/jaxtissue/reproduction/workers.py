@@ -35,7 +35,7 @@ def free_cores() -> int:
 
 
 class Workers:
-    """So many processes, started when first there is work for two, and ended on leaving `with`.
+    """A pool of processes, started when first there is work for two, and ended on leaving `with`.
 
     With one all is computed in this process. Each has one core and the precision of this process; what one of
     them or this process compiled the others find in a folder. Results are the same to the bit for any number.

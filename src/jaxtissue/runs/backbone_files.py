@@ -198,7 +198,7 @@ def _find_names(table: _Table) -> tuple[str, ...] | None:
 
 
 def _repeated(table: _Table, column: str, names: list[str]) -> str:
-    """What is wrong with names that are empty or not each another; nothing if they are good."""
+    """The fault of names that are empty or not unique; nothing if there is none."""
     seen: dict[str, int] = {}
     for line, name in zip(table.lines, names, strict=True):
         if not name:

@@ -62,7 +62,7 @@ def _start(annealer: Annealer, row: Settings) -> AnnealState:
 
 
 def summarize(row: Settings, outcome: Outcome) -> dict[str, Any]:
-    """What became of a run, as columns of the table: energies by its own resolution, means over its sweeps.
+    """The results of a run, as columns of the table: energies by its own resolution, means over its sweeps.
 
     `drift` is the largest of any sweep. Unless contacts are left out, the means of `summarize_connectivity`
     over all cells follow, and those over cells that touch no end of the tube, with names that begin `inner_`.

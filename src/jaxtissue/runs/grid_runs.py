@@ -120,7 +120,7 @@ def _go_on(run: GridRun, batch: int) -> int:
 
 
 def _memory(rows: Sequence[Settings], batch: int) -> str:
-    """What the largest rows will take together."""
+    """The memory that the largest rows will take together."""
     largest = max(rows, key=lambda row: row.cells)
     float_bytes, count = 8 if largest.x64 else 4, min(batch, len(rows))
     return tell_memory(largest.cells, largest.tube, largest.resolution, float_bytes, count)

@@ -44,6 +44,6 @@ def from_field(text: str) -> str:
 
 
 def _unescaped(found: re.Match[str]) -> str:
-    """What an escape stands for; itself where nothing would have been written so."""
+    """The text that an escape stands for; the escape itself where no text would have been written so."""
     character = chr(int(found[1], 16))
     return character if re.fullmatch(rf"[{_UNSAFE}\\]", character) else found[0]

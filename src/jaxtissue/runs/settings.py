@@ -69,7 +69,7 @@ class Settings:
         return np.concatenate([cooling, held])
 
     def annealer(self, cooling_sweeps: int) -> Annealer:
-        """What advances the run. Raises `ValueError` for settings that make none."""
+        """The annealer of the run. Raises `ValueError` for settings that cannot be annealed."""
         model = tube_model(self.tube, self.cells, self.modulus, self.tension, relative=self.relative)
         temperatures = self.temperatures(cooling_sweeps)
         return Annealer(model, self.resolution, self.algorithm, self.seed, temperatures)
@@ -116,7 +116,7 @@ def version_of(package: str) -> str | None:
 
 
 def provenance() -> dict[str, Any]:
-    """When and with what something is computed."""
+    """The time and the software and hardware of a computation."""
     device = jax.devices()[0]
     return {
         "started": now(),
@@ -140,7 +140,7 @@ def processor() -> str:
 
 
 def other_bits(before: Mapping[str, Any]) -> str:
-    """What decides the bits of a result and is not now as it was `before`, in words; empty where all is."""
+    """The conditions that decide the bits of a result and differ from `before`, in words; empty if none does."""
     present = provenance()
     kinds = {"device_kind": "device", "processor": "processor", "compiler": "compiler"}
     pairs = [(told, before.get(name), present[name]) for name, told in kinds.items()]

@@ -16,7 +16,7 @@ from jaxtissue.system.files import load_arrays, open_own, replacing, save_arrays
 
 
 class Checkpoint(NamedTuple):
-    """What a run needs to go on, the positions it keeps for its figures, the checksum of its rows so far."""
+    """The state from which a run goes on, the positions kept for its figures, and the checksum of its rows so far."""
 
     state: AnnealState
     kept_sweeps: Int[np.ndarray, "kept"]

@@ -1,1 +1,1 @@
-"""What the operating system gives: files written whole, locks, signals, streams, processor cores."""
+"""Services of the operating system: files written whole, locks, signals, streams, processor cores."""

@@ -189,5 +189,5 @@ def check_files(folder: Path, checksums: Mapping[str, str], remedy: str) -> None
 
 
 def _told(error: Exception) -> str:
-    """What went wrong, without the name of the file."""
+    """The reason of an error, without the name of the file."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)

@@ -1,4 +1,4 @@
-"""How a process is stopped from outside: at once in one line, or a run after the sweeps it is in."""
+"""Stopping a process from outside: at once in one line, or a run after the sweeps it is in."""
 
 import contextlib
 import gc

@@ -80,7 +80,7 @@ def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
 
 
 def _gaps(bisectors: Bisectors, radius: float) -> Float[np.ndarray, " n"]:
-    """How far from each backbone the next is at a radius."""
+    """The distance from each backbone to the next at a radius."""
     ends = np.stack([bisectors.axial, radius * bisectors.cosine, radius * bisectors.sine], axis=1)[: bisectors.count]
     return KDTree(ends).query(ends, k=2)[0][:, 1]
 

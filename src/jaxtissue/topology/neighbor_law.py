@@ -24,15 +24,16 @@ EXTREME = 50.0  # ln of a surface ratio that no tissue has
 class NeighborLaw:
     """The mean number of neighbors as a logistic function of ln s, s = R_b / R_a the surface ratio.
 
-    N(s) = low + (high - low) / (1 + exp(-steepness (ln s - ln middle))); "Flintstones' law" (paper, section 4.4, Fig.
-    12).
+    N(s) = low + (high - low) / (1 + exp(-steepness (ln s - ln middle))); "Flintstones' law" (paper,
+    section 4.4, Fig. 12).
 
     Attributes:
         low: The limit of N as s goes to 0.
         high: The limit of N as s grows without bound.
         middle: The surface ratio at which N is half way between the limits.
         steepness: The steepness in ln s, without a unit.
-        standard_errors: Those of the four by name; not numbers for as many points as parameters.
+        standard_errors: The standard errors of the four parameters by name; not numbers for as many points as
+            parameters.
         residual: The root mean square of the differences to the points.
         r2: The fraction of the variance that the law explains.
 
@@ -129,7 +130,7 @@ def bound_ratios(
     Args:
         positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
         tube: The tube that the backbones stand in.
-        connectivity: What `find_connectivity` gave for this tissue.
+        connectivity: The result of `find_connectivity` for this tissue.
         hops: The numbers of contacts, h, that Corollary 1 is tried for.
 
     Returns:

@@ -26,7 +26,7 @@ class Seeds(NamedTuple):
 
 
 def seed(bisectors: Bisectors) -> Seeds:
-    """Where each backbone's end, moved along x on either surface, meets a wall or an end."""
+    """The points where each backbone's end, moved along x on either surface, meets a wall or an end."""
     n, seeds = bisectors.count, []
     own, surface = np.tile(bisectors.order, 2), np.repeat([0, 1], n)
     radius = np.array([bisectors.inner, bisectors.outer])[surface]

@@ -77,7 +77,7 @@ def tabulate_connectivity(connectivity: Connectivity) -> dict[str, np.ndarray]:
     """The columns that connectivity adds to the table of cells (paper, section 4.4).
 
     Args:
-        connectivity: What `find_connectivity` gave.
+        connectivity: The result of `find_connectivity`.
 
     Returns:
         Columns [n] by name: `neighbors`; by kind `apical_basal_neighbors`, `apical_neighbors`, `basal_neighbors` and
@@ -102,7 +102,7 @@ def summarize_connectivity(connectivity: Connectivity, inner_only: bool = False)
     round the lumen, no two cells touch twice, and no threshold or end leaves out a part.
 
     Args:
-        connectivity: What `find_connectivity` gave.
+        connectivity: The result of `find_connectivity`.
         inner_only: Whether cells that touch an end of the tube are left out.
 
     Returns:
@@ -143,7 +143,7 @@ def polygon_classes(
     not in it.
 
     Args:
-        connectivity: What `find_connectivity` gave.
+        connectivity: The result of `find_connectivity`.
         areas: The areas of the cells on the surface, [n], in any unit.
         surface: "apical" or "basal", or "all" for neighbors anywhere.
         inner_only: Whether cells that touch an end of the tube, which lack sides, are left out, also as neighbors.
@@ -188,7 +188,7 @@ def tissue_graph(connectivity: Connectivity, columns: Mapping[str, np.ndarray] |
     All attributes are plain Python values, so that `networkx.write_graphml` and similar functions take the graph.
 
     Args:
-        connectivity: What `find_connectivity` gave.
+        connectivity: The result of `find_connectivity`.
         columns: Values of each cell, [n] by name; the columns of `tabulate_connectivity` if None.
 
     Returns:

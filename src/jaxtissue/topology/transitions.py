@@ -61,8 +61,8 @@ def find_transitions(
     """Find all transition points, d_a = d_b = d_c = d_d <= every other distance, with R_a < r < R_b and 0 < x < L.
 
     They are the vertices of four cells at which the edges of the diagram end (paper, section 4.4), right to about 1e-14
-    of the tube's size, by Newton's method in 64 bits. Points on the surfaces and ends are not counted, which the paper
-    leaves open. Where four cells meet all along a line, as on a square lattice, there is none. The frame is x along the
+    of the tube's size, by Newton's method in 64 bits. Points on the surfaces and at the ends of the tube are not
+    counted. Where four cells meet all along a line, as on a square lattice, there is none. The frame is x along the
     axis, y = r cos(angle), z = r sin(angle).
 
     Args:
