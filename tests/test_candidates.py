@@ -89,7 +89,7 @@ def test_contacts_are_mutual_and_not_with_oneself(tissue) -> None:
     contacts = tissue[4].toarray()
     np.testing.assert_array_equal(contacts, contacts.T)
     assert not contacts.diagonal().any()
-    assert contacts.sum(axis=1).min() >= 3  # whoever is not at an end is walled in
+    assert contacts.sum(axis=1).min() >= 3  # a cell that is not at an end is walled in
 
 
 def test_walls_of_some_size_are_contacts_and_candidates(tissue) -> None:

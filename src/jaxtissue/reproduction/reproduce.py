@@ -101,7 +101,7 @@ def _open(folder: Path, plan: Plan, force: bool) -> dict[str, Any]:
         found = f"{folder} holds a {kind} run with {other} = {planned.get(other)}, not {arguments[other]}"
         raise ValueError(f"{found}; choose another or add --force")
     make_folder(folder)
-    write_sealed(path, manifest)  # whoever is stopped at the first item finds the folder theirs
+    write_sealed(path, manifest)  # a run stopped at the first item finds its own folder
     return manifest
 
 

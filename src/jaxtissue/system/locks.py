@@ -17,7 +17,7 @@ except ImportError:  # Windows
     fcntl = None
 
 NAME = ".lock"
-WAIT = 20.0  # seconds: whoever shares a folder prepares it in less
+WAIT = 20.0  # seconds: a process that shares a folder prepares it in less
 _FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
 
 
