@@ -16,7 +16,8 @@ from jaxtissue.compilation.fusion import take_rows
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.positions import X64
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.cells import Adhesion, CellGeometry
+from jaxtissue.measurement.adhesion import Adhesion
+from jaxtissue.measurement.cells import CellGeometry
 
 CONSTANTS = ("mean_volume", "modulus", "tension")
 CellEnergy = Callable[[CellGeometry, "Model"], Float[Array, "cells"]]

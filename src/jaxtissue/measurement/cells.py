@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxtissue.compilation.fusion import SCATTER, fusion_barrier, take_rows
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.adhesion import Adhesion
 from jaxtissue.measurement.axial_lines import (
     BackboneCoords,
     backbone_coords,
@@ -85,34 +86,14 @@ class CellGeometry(eqx.Module):
         return f"CellGeometry({np.size(self.volume)} cells: {', '.join(told[:2])})"
 
     def _repr_html_(self) -> str:
-        head = "<tr><th></th><th>mean</th><th>sd</th><th>least</th><th>largest</th></tr>"
-        rows = [
-            f"<tr><th>{name.replace('_', ' ')}</th>"
-            + "".join(f"<td>{value:.4g}</td>" for value in (column.mean(), column.std(), column.min(), column.max()))
-            + "</tr>"
-            for name, column in self._columns().items()
-            if column.size and column.dtype != bool
-        ]
-        return f"<table><caption>{np.size(self.volume)} cells</caption>{head}{''.join(rows)}</table>"
-
-
-class Adhesion(eqx.Module):
-    """How walls count by the types of the two cells that they part: lateral areas are sums of weighted walls.
-
-    Attributes:
-        types: The type of each cell, 0 to k - 1, [n].
-        weights: The weight of a wall between two types, symmetric, [k, k].
-    """
-
-    types: Int[Array | np.ndarray, "n"]
-    weights: Float[Array | np.ndarray, "k k"]
-
-    def between(self, cells: Int[Array, "cells"], others: Int[Array, "..."]) -> Float[Array, "..."]:
-        """The weight of the walls between cells and others."""
-        types = jnp.asarray(self.types)
-        count = self.weights.shape[0]
-        pair = take_rows(types, cells) * count + take_rows(types, others)
-        return take_rows(jnp.asarray(self.weights).ravel(), pair)
+        lines = ["<tr><th></th><th>mean</th><th>sd</th><th>least</th><th>largest</th></tr>"]
+        for name, column in self._columns().items():
+            if column.size and column.dtype != bool:
+                values = (
+                    f"<td>{value:.4g}</td>" for value in (column.mean(), column.std(), column.min(), column.max())
+                )
+                lines.append(f"<tr><th>{name.replace('_', ' ')}</th>{''.join(values)}</tr>")
+        return f"<table><caption>{np.size(self.volume)} cells</caption>{''.join(lines)}</table>"
 
 
 class Window(NamedTuple):

@@ -14,6 +14,7 @@ from scipy import sparse
 
 from jaxtissue.compilation.fusion import fusion_barrier, larger, smaller, take_rows
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.adhesion import Adhesion
 from jaxtissue.measurement.axial_lines import (
     FAR,
     BackboneCoords,
@@ -25,7 +26,7 @@ from jaxtissue.measurement.axial_lines import (
     relative_coords,
     turn_between,
 )
-from jaxtissue.measurement.cells import BLOCK, Adhesion, Survey, measure_cells
+from jaxtissue.measurement.cells import BLOCK, Survey, measure_cells
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines
 from jaxtissue.neighbors.search import lowest_columns, pad_lists, spacing_at, symmetric_graph
 
