@@ -5,6 +5,7 @@ import io
 import jax
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from jaxtissue.geometry.tube import Tube
@@ -43,6 +44,13 @@ def test_energy_shows_the_total_and_its_terms():
     assert axes.get_xlabel() == "sweep" and "tube units" in axes.get_ylabel()
     assert len(axes.get_legend().get_texts()) == 4
     assert rendered(figure).std() > 0
+
+
+def test_panels_draw_where_they_are_told():
+    figure = Figure()
+    left, right = figure.subplots(1, 2)
+    assert plot_energy(SWEEPS, ax=left) == (figure, left) and len(left.lines) == 3
+    assert plot_volumes([0], [np.ones(3)], 1.0, ax=right) == (figure, right) and len(right.lines) == 2
 
 
 def test_energy_of_nothing_can_be_drawn():

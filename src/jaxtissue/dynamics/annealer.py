@@ -128,11 +128,11 @@ class Annealer:
         return AnnealState(0, own)
 
     def record(self, state: AnnealState) -> SweepRecord:
-        """The record of a state as it is, such as the initial one."""
+        """Energy and settings of a state for which no sweep was run, as of the initial state: a `SweepRecord`."""
         return record_together([self], [state])[0]
 
     def measure(self, positions: Float[np.ndarray, "n 2"]) -> CellGeometry:
-        """The volumes and lateral areas of the cells at positions [n, 2], measured as sweeps measure them."""
+        """Volumes and lateral areas at positions [n, 2], with the resolution and adhesion of the annealing."""
         last = AnnealState(len(self.temperatures), positions)  # no sweep after it is compiled ahead
         (measured,) = run_together([self._measure(last)])
         return CellGeometry(measured.tissue.volume, measured.tissue.lateral_area)

@@ -1,4 +1,4 @@
-"""Differential adhesion: how walls count by the types of the two cells that they part."""
+"""Differential adhesion: weights of walls by the types of the two cells that share them."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,18 +9,21 @@ from jaxtissue.compilation.fusion import take_rows
 
 
 class Adhesion(eqx.Module):
-    """How walls count by the types of the two cells that they part: lateral areas are sums of weighted walls.
+    """Differential adhesion: the weight of a wall depends on the types of the two cells that share it.
+
+    In the energy, the wall between cells i and j contributes its area times `weights[types[i], types[j]]` to the
+    lateral areas of both cells. With larger weights between unlike types, the types sort.
 
     Attributes:
         types: The type of each cell, 0 to k - 1, [n].
-        weights: The weight of a wall between two types, symmetric, [k, k].
+        weights: The weight of a wall between cells of two types, symmetric, [k, k].
     """
 
     types: Int[Array | np.ndarray, "n"]
     weights: Float[Array | np.ndarray, "k k"]
 
     def between(self, cells: Int[Array, "cells"], others: Int[Array, "..."]) -> Float[Array, "..."]:
-        """The weight of the walls between cells and others."""
+        """The weight of the wall between each cell and each of the other cells, by their numbers."""
         types = jnp.asarray(self.types)
         count = self.weights.shape[0]
         pair = take_rows(types, cells) * count + take_rows(types, others)

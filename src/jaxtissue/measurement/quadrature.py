@@ -14,15 +14,17 @@ from jaxtissue.geometry.tube import Tube
 
 
 class Resolution(NamedTuple):
-    """How finely cells are measured.
+    """The number of sampling lines by which cells are measured.
 
-    The presets of `PRESETS` are `draft`, 4 x 4, `standard`, 7 x 8, and `fine`, 10 x 10. On every reference tube `draft`
+    Cells are measured on lines parallel to the axis of the tube. The lines lie on cylinders of constant radius, the
+    layers; on each line, a cell is the interval between its two walls. Resolutions are written as layers x density. The
+    presets of `PRESETS` are `draft`, 4 x 4, `standard`, 7 x 8, and `fine`, 10 x 10. On every reference tube `draft`
     errs by at most 0.5 % of the mean volume and 3 % of the mean lateral area, `standard` by 0.07 % and 1 %, `fine` by
     0.05 % and 0.5 %.
 
     Attributes:
-        layers: The number of layers of lines between the apical and the basal surface, 1 to 64.
-        density: The number of lines for each mean cell width, 1 to 64.
+        layers: The number of cylinders between the apical and the basal surface, 1 to 64.
+        density: The number of lines per mean cell width on each cylinder, 1 to 64.
 
     >>> PRESETS["standard"]
     Resolution(layers=7, density=8)

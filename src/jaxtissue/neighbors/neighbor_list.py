@@ -80,7 +80,7 @@ class NeighborList(eqx.Module):
         return check_lists(jnp.asarray(positions), self.domain, self.candidates, self.angles).defect < TILES
 
     def holds(self, positions: Float[Array | np.ndarray, "n 2"]) -> bool:
-        """`covers` for arrays at hand, by a program that is compiled soon."""
+        """Whether the list is still complete: `covers` for concrete arrays, by a program that compiles quickly."""
         return bool(find_check(positions, self.domain, np.asarray(self.candidates)).defect < TILES)
 
     def update(self, positions: Any) -> "NeighborList":

@@ -1,10 +1,13 @@
-"""Figures of a run; each function returns (figure, axes) and leaves matplotlib's global state alone."""
+"""Figures of a run; each function returns (figure, axes) and leaves matplotlib's global state alone.
+
+Those of one panel draw on the axes `ax` where they are given some, else in a figure of their own.
+"""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import matplotlib as mpl
 import numpy as np
@@ -59,17 +62,25 @@ def save_figure(path: Path, draw: Callable[[], tuple[Figure, Any]]) -> None:
         file.write(image.getvalue())
 
 
+def _panel(ax: Axes | None) -> tuple[Figure, Axes]:
+    """The axes that were given and their figure, or a new figure with axes."""
+    if ax is not None:
+        return cast(Figure, ax.figure), ax
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    return figure, figure.subplots()
+
+
 def plot_energy(
     sweeps: Mapping[str, Float[ArrayLike, "rows"]],
     checked: tuple[Sequence[int], Sequence[float]] | None = None,
     checked_label: str = "total, measured finely",
+    ax: Axes | None = None,
 ) -> tuple[Figure, Axes]:
     """Energy of the tissue and its two terms over the sweeps (paper, Fig. 10), on a logarithmic axis.
 
     `sweeps` has the columns of sweeps.csv; `checked` gives sweeps and energies measured in another way.
     """
-    figure = Figure(figsize=(7, 4.5), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = _panel(ax)
     number = np.asarray(sweeps["sweep"])
     styles = [
         ("energy", "total", _BLUE, "-"),
@@ -90,11 +101,10 @@ def plot_energy(
 
 
 def plot_volumes(
-    sweeps: Sequence[int], volumes: Sequence[Float[ArrayLike, "n"]], mean_volume: float
+    sweeps: Sequence[int], volumes: Sequence[Float[ArrayLike, "n"]], mean_volume: float, ax: Axes | None = None
 ) -> tuple[Figure, Axes]:
     """The cells' volumes after the given sweeps, each sorted, against the mean volume (paper, Fig. 11)."""
-    figure = Figure(figsize=(7, 4.5), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = _panel(ax)
     colors = mpl.colormaps["viridis"](np.linspace(0, 0.9, len(sweeps)))
     for sweep, volume, color in zip(sweeps, volumes, colors, strict=True):
         ordered = np.sort(np.asarray(volume))
@@ -110,14 +120,13 @@ def plot_volumes(
     return figure, axes
 
 
-def plot_grid(table: Mapping[str, ArrayLike], axes: Sequence[str]) -> tuple[Figure, Axes]:
+def plot_grid(table: Mapping[str, ArrayLike], axes: Sequence[str], ax: Axes | None = None) -> tuple[Figure, Axes]:
     """Energy per cell of the runs of a grid over the first of its `axes`, a line for each of the second.
 
     `table` has the columns of table.csv. Dots are runs; a line goes through their means. Runs that differ in
     further axes, such as the seed, are taken together.
     """
-    figure = Figure(figsize=(7, 4.5), layout="constrained")
-    panel = figure.subplots()
+    figure, panel = _panel(ax)
     varied = [name for name in axes if name != "seed"] or ["seed"]
     across, energy = np.asarray(table[varied[0]]), np.asarray(table["energy"]) / np.asarray(table["cells"])
     kinds = np.asarray(table[varied[1]]) if len(varied) > 1 else np.zeros(len(across))

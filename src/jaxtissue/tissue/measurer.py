@@ -48,7 +48,7 @@ Positions = Float[Array | np.ndarray, "n 2"]
 @usual_modes()
 def measure_tissue(
     positions: Positions,
-    tube: Tube,
+    domain: Tube,
     resolution: Resolution | str = "standard",
     surfaces: bool = True,
     tolerance: float | None = None,
@@ -65,7 +65,7 @@ def measure_tissue(
 
     Args:
         positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        tube: The tube that the backbones stand in.
+        domain: The tube that the backbones stand in.
         resolution: How finely cells are measured: a preset or layers and lines.
         surfaces: Whether areas and perimeters on the apical and basal surface are measured too.
         tolerance: The largest error that is asked for, as a fraction of the mean volume and of the mean lateral area.
@@ -87,22 +87,22 @@ def measure_tissue(
     """
     if tolerance is not None and not tolerance > 0:
         raise ValueError(f"tolerance={tolerance} is not a positive fraction of the mean cell; try 0.001")
-    given, resolution = as_positions(positions, tube, float), as_resolution(resolution)
+    given, resolution = as_positions(positions, domain, float), as_resolution(resolution)
     limits, defect, n = as_limits(tolerance), 0.0, len(given)
     closely = refine and (n <= FEW_CELLS or min(limits) < min(LIMITS))
-    traced = trace_sizes(given, tube) if closely else None
+    traced = trace_sizes(given, domain) if closely else None
     if traced is not None:
         cells = plain(traced._asdict(), jnp.result_type(float), surfaces)
     else:
-        place = as_positions(positions, tube, sizes=not refine)
-        neighbors = list_neighbors(place, tube)
+        place = as_positions(positions, domain, sizes=not refine)
+        neighbors = list_neighbors(place, domain)
         defect = neighbors.tiling_defect
         if not refine:
-            lines = plan_lines(tube, n, resolution, surfaces=surfaces)
-            measured = _measure(place, jax.tree.map(np.asarray, (tube, lines, neighbors.candidates)))
+            lines = plan_lines(domain, n, resolution, surfaces=surfaces)
+            measured = _measure(place, jax.tree.map(np.asarray, (domain, lines, neighbors.candidates)))
             return replace(measured, tiling_defect=jnp.asarray(defect))
         cells = measure_refined(Tissue(place, given, neighbors), resolution, surfaces, limits)
-    for message in doubts(cells, tube, limits):
+    for message in doubts(cells, domain, limits):
         warnings.warn(message, stacklevel=3)
     return replace(cells, tiling_defect=jnp.asarray(defect, cells.volume.dtype))
 

@@ -39,15 +39,17 @@ class Connectivity:
 
 
 def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold: float = 0.0) -> Connectivity:
-    """Find contacts, transition points, forms, end cells and sizes of a tissue (paper, section 4.4).
+    """Find which cells touch, and where they exchange neighbors along their height (paper, section 4.4).
 
-    The edges of the diagram are traced once, in 64 bits.
+    Beside contacts and transition points this gives the form of each cell (whether it goes all the way round the lumen,
+    and the number of its connected parts), whether it touches an end of the tube, and its size. All come from one
+    tracing of the edges of the Voronoi diagram, in 64 bits.
 
     Args:
         positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
         tube: The tube that the backbones stand in.
-        threshold: Walls with less than this fraction of the mean wall area are no contacts; the other results stay as
-            they are.
+        threshold: Walls smaller than this fraction of the mean wall area are left out of the contacts; no other result
+            depends on it.
 
     Returns:
         The results, in one record.
@@ -80,8 +82,11 @@ def tabulate_connectivity(connectivity: Connectivity) -> dict[str, np.ndarray]:
         connectivity: The result of `find_connectivity`.
 
     Returns:
-        Columns [n] by name: `neighbors`; by kind `apical_basal_neighbors`, `apical_neighbors`, `basal_neighbors` and
-        `internal_neighbors`; `transitions`, `is_scutoid`, `is_ring` and `pieces`.
+        Columns [n] by name. `neighbors` counts all neighbors of a cell. `apical_basal_neighbors`, `apical_neighbors`,
+        `basal_neighbors` and `internal_neighbors` split them by the surfaces that the common wall reaches: both, the
+        apical one only, the basal one only, or neither. `transitions` counts the transition points of the cell, and
+        `is_scutoid` tells whether it has any. `is_ring` tells whether the cell goes all the way round the lumen, and
+        `pieces` is the number of its connected parts.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> tabulate_connectivity(four)["neighbors"].tolist()
