@@ -102,8 +102,10 @@ def quick_examples(request):
     if not isinstance(request.node, pytest.DoctestItem):
         yield
         return
+    forget_programs()
     jax.config.update("jax_disable_most_optimizations", True)
     yield
+    forget_programs()
     jax.config.update("jax_disable_most_optimizations", False)
 
 

@@ -62,6 +62,29 @@ def test_local_differences_add_up(positions, types, x64):
     assert after - before == pytest.approx(change, rel=1e-9)
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.int64])
+def test_types_of_any_width_find_their_weights(dtype):
+    weights = np.arange(400.0).reshape(20, 20)
+    types = np.arange(20, dtype=dtype)
+    found = jt.Adhesion(types, weights + weights.T).between(jnp.array([12, 19]), jnp.array([19, 19]))
+    assert found.tolist() == [(weights + weights.T)[12, 19], (weights + weights.T)[19, 19]]
+
+
+def test_lists_of_types_and_weights_will_do(positions, types):
+    listed = jt.Adhesion(types.tolist(), WEIGHTS.tolist())
+    energies = [
+        jt.anneal(positions, TUBE, sweeps=0, model=jt.tube_model(TUBE, CELLS, adhesion=adhesion)).energies[0]
+        for adhesion in (listed, jt.Adhesion(types, WEIGHTS))
+    ]
+    assert energies[0] == energies[1]
+    contacts = jt.find_contacts(positions, TUBE)
+    weighted = contacts.area * WEIGHTS[types[contacts.pairs[:, 0]], types[contacts.pairs[:, 1]]]
+    model = jt.tube_model(TUBE, CELLS)
+    volume = np.asarray(jt.measure_tissue(positions, TUBE).volume)
+    expected = ((volume - float(model.mean_volume)) ** 2).sum() / 2 + 0.4 * 2 * weighted.sum()
+    assert energies[0] == pytest.approx(expected, rel=0.02)  # by `draft`
+
+
 def unlike(positions: np.ndarray, types: np.ndarray) -> float:
     """The fraction of wall area between cells of unlike types."""
     contacts = jt.find_contacts(positions, TUBE)

@@ -9,7 +9,8 @@ from conftest import REFERENCES, read_reference
 from jaxtissue.compilation import fusion
 from jaxtissue.diagram.exact import exact_cells
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.cells import CellGeometry, measure_cells
+from jaxtissue.measurement.cell_geometry import CellGeometry
+from jaxtissue.measurement.cells import measure_cells
 from jaxtissue.measurement.quadrature import PRESETS, REACH, plan_lines
 from jaxtissue.neighbors.search import TILES, find_candidates, find_defect, split_by_side
 from jaxtissue.tissue.measurer import measure_tissue

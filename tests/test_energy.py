@@ -20,7 +20,7 @@ from jaxtissue.energy import (
     volume_elasticity,
 )
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.cells import CellGeometry
+from jaxtissue.measurement.cell_geometry import CellGeometry
 
 TUBE = Tube(length=10.0, apical_radius=1.0, basal_radius=2.0)
 CELLS = CellGeometry(jnp.array([1.0, 4.0, 6.0]), jnp.array([2.0, 0.0, 5.0]))

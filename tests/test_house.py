@@ -28,7 +28,6 @@ ROOMS = [  # from the ground up: a room imports only what stands before it
 FLOORS = 10
 LINES, FUNCTION_LINES = 300, 50  # of a file, of a function without its docstring
 ARGUMENTS, OPTIONS = 6, 6  # that a call must give, and that it may
-SEEN = {"benchmarks"}  # rooms that no other stands upon
 SELDOM = {"scipy"}  # what takes long to import is imported by what needs it
 SELDOM_OWN = {"cli.commands", "runs.annealing"}  # and of this package by the commands
 EXTRAS = {"tifffile", "skimage", "pyevtk", "pandas", "pyvista", "trimesh"}

@@ -1,6 +1,10 @@
 """Programs kept on the disk: found without being traced, never taken for others, compiled anew if damaged."""
 
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -12,7 +16,7 @@ from jaxtissue.compilation.batching import run_together
 from jaxtissue.dynamics.spans import energy_terms
 from jaxtissue.energy import tube_model
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.cells import CellGeometry
+from jaxtissue.measurement.cell_geometry import CellGeometry
 
 
 @pytest.fixture
@@ -114,3 +118,37 @@ def test_what_was_loaded_before_a_failure_is_not_loaded_again(folder):
     run()
     program_cache.forget_loaded()
     assert not list(folder.glob("*.program"))
+
+
+def test_any_source_is_part_of_the_key(tmp_path, monkeypatch):
+    """The sources of the whole package are hashed, not of this module's folder alone."""
+    package = Path(program_cache.__file__).parent.parent
+    before = program_cache._surroundings()[0]
+    copy = tmp_path / "jaxtissue"
+    shutil.copytree(package, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(program_cache, "__file__", str(copy / "compilation" / "program_cache.py"))
+    assert program_cache._surroundings.__wrapped__()[0] == before
+    with (copy / "measurement" / "walls.py").open("a") as file:
+        file.write("# one more line")
+    assert program_cache._surroundings.__wrapped__()[0] != before
+
+
+TWO_DEVICES = """
+import jax, sys
+sys.path.insert(0, {tests!r})
+jax.config.update("jax_num_cpu_devices", 2)
+jax.config.update("jax_compilation_cache_dir", {folder!r})
+from test_program_cache import run
+from jaxtissue.compilation import program_cache
+program_cache.is_on = True
+first, traced = run()
+again, none = run()
+print(jax.device_count(), traced > 0, none, bool((first == again).all()))
+"""
+
+
+def test_a_program_for_one_of_two_devices_is_found(tmp_path):
+    """Of more devices than replicas only the first are used; a kept program is loaded on these."""
+    script = TWO_DEVICES.format(tests=str(Path(__file__).parent), folder=str(tmp_path))
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "2 True 0 True\n"

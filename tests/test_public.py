@@ -69,9 +69,16 @@ def test_a_callback_sees_each_sweep_and_ends_the_run(positions):
     np.testing.assert_array_equal(result.positions, seen[-1][1])
 
 
+def test_any_true_answer_ends_a_run_and_none_does_not(positions):
+    ended = jt.anneal(positions, TUBE, sweeps=4, callback=lambda record, _: np.bool_(record.sweep == 2))
+    assert len(ended.energies) == 3
+    assert len(jt.anneal(positions, TUBE, sweeps=4, callback=lambda *_: None).energies) == 5
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
+        ({"model": jt.tube_model(jt.Tube(48, 1, 3**0.5), 40)}, "make one for that tube"),
         ({"sweeps": -1}, "sweeps=-1"),
         ({"sweeps": 3, "temperature": [1.0, 2.0]}, "temperatures for 3 sweeps"),
         ({"temperature": -1.0}, "at least 0"),
@@ -98,7 +105,8 @@ def test_results_show_numbers_and_become_frames(result):
     cells = result.cells
     assert "40 cells" in repr(cells) and "lateral area" in cells._repr_html_()
     assert list(cells.to_pandas()["volume"]) == list(np.asarray(cells.volume))
-    assert "float32" in repr(jax.eval_shape(lambda: cells))  # no numbers to show
+    shapes = jax.eval_shape(lambda: cells)
+    assert "float32" in repr(shapes) and shapes._repr_html_() is None  # no numbers to show
 
 
 def test_steps_fall_in_energy_and_keep_account(positions):
@@ -145,6 +153,11 @@ def test_a_list_covers_what_it_was_made_for_and_says_when_it_does_not(positions)
     with pytest.raises(ValueError, match="39 positions for a list of 40"):
         neighbors.covers(positions[1:])
     assert len(neighbors.update(positions[1:])) == 39
+    wide = jt.NeighborList.allocate(positions, TUBE, margin=0.5)
+    assert wide.update(positions[1:]).margin == 0.5
+    assert "float32" in repr(jax.eval_shape(lambda: jax.tree.map(jnp.asarray, neighbors)))
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        assert neighbors.covers(positions) and jax.jit(lambda place: neighbors.covers(place))(positions)
 
 
 def to_target(cells, model):
@@ -178,7 +191,7 @@ def test_each_cell_has_its_own_target(x64):
 @pytest.mark.parametrize(
     ("parameters", "told"),
     [
-        (np.ones(56), r"parameters has the shape \(56,\); give one row for each of 57"),
+        (np.ones(56), r"parameters has the shape \(56,\); give an array with one row for each of 57"),
         ({"target": np.float64(3)}, r"parameters\['target'\] has the shape \(\)"),
         ([np.full(57, np.nan)], r"parameters\[0\] holds what is not a finite number"),
     ],

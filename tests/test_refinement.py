@@ -10,7 +10,7 @@ from conftest import read_reference
 
 from jaxtissue.diagram.exact import exact_cells
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.cells import CellGeometry
+from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.tissue import measurer, refinement
 from jaxtissue.tissue.measurer import doubts, measure_tissue
 from jaxtissue.tissue.refinement import LIMITS, near_twins

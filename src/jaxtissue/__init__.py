@@ -26,7 +26,7 @@ from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
 from jaxtissue.geometry.tube import Tube, cells_for_unit_volume
 from jaxtissue.measurement.adhesion import Adhesion
-from jaxtissue.measurement.cells import CellGeometry
+from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import PRESETS, Resolution
 from jaxtissue.neighbors.neighbor_list import NeighborList
 from jaxtissue.simulation import AnnealResult, anneal

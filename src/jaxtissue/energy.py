@@ -17,7 +17,7 @@ from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.positions import X64
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.adhesion import Adhesion
-from jaxtissue.measurement.cells import CellGeometry
+from jaxtissue.measurement.cell_geometry import CellGeometry
 
 CONSTANTS = ("mean_volume", "modulus", "tension")
 CellEnergy = Callable[[CellGeometry, "Model"], Float[Array, "cells"]]
@@ -187,7 +187,9 @@ def check_parameters(parameters: Any, cells: int) -> None:
     for path, table in jax.tree_util.tree_leaves_with_path(parameters):
         name = f"parameters{jax.tree_util.keystr(path)}"
         if np.ndim(table) == 0 or len(table) != cells:
-            raise ValueError(f"{name} has the shape {np.shape(table)}; give one row for each of {cells} cells")
+            raise ValueError(
+                f"{name} has the shape {np.shape(table)}; give an array with one row for each of {cells} cells"
+            )
         if not isinstance(table, Tracer) and not np.isfinite(np.asarray(table, float)).all():
             raise ValueError(f"{name} holds what is not a finite number; give one for each cell")
 
@@ -253,12 +255,12 @@ def check_energy(model: Model) -> None:
         model = in_precision(model, dtype)
         volume: Any = np.array([0.5, 1.001, 1.5, 2], dtype) * model.mean_volume
         area: Any = np.array([5, 6, 7, 8], dtype) * model.mean_volume ** dtype.type(2 / 3)
-    rows = np.arange(4) % min(map(len, jax.tree.leaves(model.parameters)), default=4)
     try:
+        rows = np.arange(4) % min(map(len, jax.tree.leaves(model.parameters)), default=4)
         energy, part = (
             tissue_energies(CellGeometry(volume[:count], area[:count]), model.of(rows[:count])) for count in (4, 2)
         )
-    except (TypeError, IndexError) as error:
+    except (TypeError, IndexError, KeyError, AttributeError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"{_name(model)} fails ({reason}); give a function of each cell alone") from error
     require_finite(energy, model)

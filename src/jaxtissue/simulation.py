@@ -15,21 +15,23 @@ from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.energy import Model, tube_model
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.cells import CellGeometry
+from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Resolution
 from jaxtissue.system.frames import as_frame
 from jaxtissue.tissue.measurer import measure_tissue
 
+TUBE_SIZES = ("length", "apical_radius", "basal_radius")
 Callback = Callable[[SweepRecord, Float[np.ndarray, "n 2"]], Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class AnnealResult:
     """The result of annealing (paper, section 4.3).
 
     Attributes:
         positions: (axial, angle) of each backbone after the last sweep, [n, 2].
-        cells: The sizes of the cells after it, with bounds of their errors, measured at `standard`.
+        cells: The sizes of the cells after it, with bounds of their errors, measured at `standard`. Lateral areas are
+            those of the walls themselves, without the weights of an adhesion.
         records: A record of the initial state and one of each sweep.
         model: The energy of the annealing.
     """
@@ -88,8 +90,9 @@ def anneal(
         seed: The seed of the moves, 0 to 2^32 - 1.
         resolution: How finely cells are measured during the sweeps: a preset or layers and lines.
         model: The energy; the paper's by default, E = sum of K/2 (Vbar - V)^2 + Lambda A with K = 1, Lambda = 0.4.
-        callback: Called as `callback(record, positions)` after each sweep; ends the run where it returns True. Sweeps
-            are played up to ten at a time, so that up to nine more may have been played by then; they are left out.
+        callback: Called as `callback(record, positions)` after each sweep; ends the run if it returns a true value.
+            Sweeps are played up to ten at a time, so that up to nine more may have been played by then; they are left
+            out.
 
     Returns:
         The positions and cells after the last sweep, and a record of each sweep.
@@ -106,6 +109,8 @@ def anneal(
     """
     place = as_positions(positions, domain)
     model = model if model is not None else tube_model(domain, len(place))
+    if any(float(getattr(model.tube, name)) != float(getattr(domain, name)) for name in TUBE_SIZES):
+        raise ValueError(f"the model is of {model.tube}, and the positions stand in {domain}; make one for that tube")
     if sweeps < 0:
         raise ValueError(f"sweeps={sweeps} is below 0; give a number of sweeps")
     given = np.asarray(temperature, float)
@@ -121,7 +126,7 @@ def anneal(
             for record, last in zip(played, trail, strict=True):
                 records.append(record)
                 bar.update()
-                if callback is not None and callback(record, last) is True:
+                if callback is not None and bool(callback(record, last)):
                     sweeps = 0
                     break
             bar.set_postfix(energy=f"{records[-1].energy:.4g}", acceptance=f"{records[-1].acceptance:.2f}")

@@ -222,21 +222,22 @@ def _compiling(asked: Request | Ahead, mesh: Mesh, batch: tuple) -> Callable[[],
         def program(*arguments: Any) -> Any:
             return _lifted(asked.function, mesh)(*arguments)
 
-        program.__name__ = asked.function.__name__
+        name = asked.function.__name__
         if key is not None:  # what JAX's cache gives can't be kept: by this name it holds nothing
-            program.__name__ += f"_{uuid4().hex}"
+            name += f"_{uuid4().hex}"
+        program.__name__ = name
         lowered = jax.jit(program).lower(*jax.tree.map(shape, batch))
 
         def compiled() -> Callable:
             done = lowered.compile(chosen)
             if key is not None:
-                program_cache.save(key, done)
+                program_cache.save(key, name, done)
             return done
 
         return compiled
 
     if key is not None and program_cache.has(key):
-        return lambda: program_cache.load(key, batch) or trace()()
+        return lambda: program_cache.load(key, batch, list(mesh.devices.flat)) or trace()()
     return trace()
 
 

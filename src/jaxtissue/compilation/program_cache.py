@@ -13,7 +13,7 @@ import pickle
 import platform
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -50,7 +50,7 @@ def has(key: str) -> bool:
     return path is not None and path.is_file()
 
 
-def load(key: str, arguments: tuple) -> Callable[..., Any] | None:
+def load(key: str, arguments: tuple, devices: Sequence[Any]) -> Callable[..., Any] | None:
     """The program that is kept under a key, for arguments like these; none that can't be used."""
     if (path := _path(key)) is None:
         return None
@@ -58,17 +58,19 @@ def load(key: str, arguments: tuple) -> Callable[..., Any] | None:
         digest, content = path.read_bytes().split(b"\n", 1)
         if hashlib.sha256(content).hexdigest().encode() != digest:
             raise ValueError("damaged")
-        os.utime(path)
+        with suppress(OSError):
+            os.utime(path)
         program, result = pickle.loads(content)
         LOADED.add(path)
-        return deserialize_and_load(program, jax.tree.structure((arguments, {})), jax.tree.structure(result))
+        structures = jax.tree.structure((arguments, {})), jax.tree.structure(result)
+        return deserialize_and_load(program, *structures, execution_devices=devices)
     except Exception:  # whatever is wrong with it, it can be compiled anew
         with suppress(OSError):
             path.unlink()
         return None
 
 
-def save(key: str, program: jax.stages.Compiled) -> None:
+def save(key: str, name: str, program: jax.stages.Compiled) -> None:
     """Keep a program that was just compiled, if that can be done; those that were not loaded for long go."""
     if (path := _path(key)) is None:
         return
@@ -77,6 +79,8 @@ def save(key: str, program: jax.stages.Compiled) -> None:
         content = pickle.dumps((executable, _like(structure)))
         with replacing(path, "wb") as file:
             file.write(hashlib.sha256(content).hexdigest().encode() + b"\n" + content)
+        for other in path.parent.glob(f"jit_{name}-*"):  # JAX's own copy, which nothing finds again
+            other.unlink()
         for other in path.parent.glob("*.program"):
             if other.stat().st_mtime < time.time() - SECONDS:
                 other.unlink()
@@ -84,8 +88,9 @@ def save(key: str, program: jax.stages.Compiled) -> None:
 
 def forget_loaded() -> None:
     """Remove the programs that this process took from the disk: one of them may be why it failed."""
-    for path in LOADED:
-        path.unlink(missing_ok=True)
+    for path in list(LOADED):
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
 
 
 def _like(structure: Any) -> Any:

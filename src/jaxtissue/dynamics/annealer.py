@@ -22,7 +22,7 @@ from jaxtissue.dynamics.sweep_log import Measured, SweepRecord, least_around, sh
 from jaxtissue.energy import Model, check_adhesion, check_energy, check_parameters, in_precision, require_finite
 from jaxtissue.geometry.positions import as_positions, check_count
 from jaxtissue.measurement.axial_lines import BackboneCoords
-from jaxtissue.measurement.cells import CellGeometry
+from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution
 from jaxtissue.neighbors.shortlists import find_unlisted, list_first, shortlist_length
 

@@ -21,7 +21,8 @@ from jaxtissue.measurement.axial_lines import (
     pick,
     turn_between,
 )
-from jaxtissue.measurement.cells import BLOCK, CellGeometry, Survey, measure_window, through_windows
+from jaxtissue.measurement.cell_geometry import CellGeometry
+from jaxtissue.measurement.cells import BLOCK, Survey, measure_window, through_windows
 from jaxtissue.measurement.quadrature import Lines
 
 ROOM = 20  # cells that a move may change, on average over a round: twice as many as it does

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from jaxtissue.dynamics.local_updates import Scene, TissueState, tissue_state
 from jaxtissue.dynamics.metropolis import Order, SweepInfo, sweep
 from jaxtissue.energy import Model, cell_energies, lateral_tension, volume_elasticity
-from jaxtissue.measurement.cells import CellGeometry
+from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Lines
 from jaxtissue.neighbors.search import pad_lists
 from jaxtissue.neighbors.shortlists import distances, survey_tissue

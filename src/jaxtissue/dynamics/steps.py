@@ -74,10 +74,10 @@ def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -
     """
     tube, place = model.tube, np.asarray(as_positions(positions, model.tube))
     n = len(place)
-    check_energy(model)
     check_count(n, tube, float(model.mean_volume))
     check_parameters(model.parameters, n)
     check_adhesion(model.adhesion, n)
+    check_energy(model)
     model = in_precision(model, place.dtype)
     size = as_resolution(resolution)
     lines = plan_lines(tube, n, size), sight_lines(tube, n, size)
@@ -101,7 +101,7 @@ def step(
     Args:
         key: The random key of this sweep.
         state: What `init` or the step before gave.
-        model: The energy.
+        model: The energy, the same as for `init`.
         temperature: T, in the unit of the energy; a move that costs dE > 0 is accepted with probability exp(-dE / T).
 
     Returns:

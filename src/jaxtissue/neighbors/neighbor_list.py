@@ -3,8 +3,10 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.compilation.modes import usual_modes
@@ -27,6 +29,7 @@ class NeighborList(eqx.Module):
         tiling_defect: The defect at the positions that the list was allocated for.
         is_far: Whether a cell has a part farther round the axis than its first window of lines reaches, [n].
         angles: Where the lines of the check stand, [layers, lines], in radians.
+        margin: The distance along the axis within which backbones are listed on both sides.
 
     >>> import jax
     >>> tube = Tube(length=40, apical_radius=2, basal_radius=6)
@@ -41,6 +44,7 @@ class NeighborList(eqx.Module):
     tiling_defect: Float[Array | np.ndarray, ""]
     is_far: Bool[Array | np.ndarray, "n"]
     angles: Float[Array | np.ndarray, "layers lines"]
+    margin: float = 0.0
 
     @staticmethod
     @usual_modes()
@@ -61,10 +65,11 @@ class NeighborList(eqx.Module):
         """
         return list_neighbors(as_positions(positions, domain), domain, margin)
 
+    @usual_modes()
     def covers(self, positions: Float[Array | np.ndarray, "n 2"]) -> Bool[Array | np.ndarray, ""]:
         """Whether the list is still complete for a tissue that moved.
 
-        The check looks along some lines only: a small part of a cell that is lacking between them is not seen.
+        The check looks along a number of lines only: a small part of a cell that is lacking between them is not seen.
 
         Args:
             positions: (axial, angle) of each backbone, [n, 2]; may be traced.
@@ -75,14 +80,15 @@ class NeighborList(eqx.Module):
         Raises:
             ValueError: If the number of backbones is not that of the list.
         """
-        if len(positions) != len(self.candidates):
-            raise ValueError(f"{len(positions)} positions for a list of {len(self.candidates)} cells; allocate another")
-        return check_lists(jnp.asarray(positions), self.domain, self.candidates, self.angles).defect < TILES
+        if len(positions) != len(self):
+            raise ValueError(f"{len(positions)} positions for a list of {len(self)} cells; allocate another")
+        if any(isinstance(leaf, Tracer) for leaf in (positions, *jax.tree.leaves(self))):
+            place = jnp.asarray(positions, jnp.result_type(float))
+            return check_lists(place, self.domain, self.candidates, self.angles).defect < TILES
+        place = np.asarray(positions, jnp.result_type(float))
+        return np.asarray(find_check(place, self.domain, np.asarray(self.candidates)).defect < TILES)
 
-    def holds(self, positions: Float[Array | np.ndarray, "n 2"]) -> bool:
-        """Whether the list is still complete: `covers` for concrete arrays, by a program that compiles quickly."""
-        return bool(find_check(positions, self.domain, np.asarray(self.candidates)).defect < TILES)
-
+    @usual_modes()
     def update(self, positions: Any) -> "NeighborList":
         """This list where it covers the positions, else one allocated anew; on the host.
 
@@ -96,14 +102,16 @@ class NeighborList(eqx.Module):
             ValueError: If `as_positions` refuses the positions.
         """
         place = as_positions(positions, self.domain)
-        if len(place) == len(self) and self.holds(place):
+        if len(place) == len(self) and self.covers(place):
             return self
-        return list_neighbors(place, self.domain)
+        return list_neighbors(place, self.domain, self.margin)
 
     def __len__(self) -> int:
         return len(self.candidates)
 
     def __repr__(self) -> str:
+        if not isinstance(self.tiling_defect, np.ndarray | np.floating | float):
+            return eqx.tree_pformat(self)
         cells, _, most = self.candidates.shape
         return f"NeighborList({cells} cells, up to {most} candidates a side, tiling defect {self.tiling_defect:.1e})"
 
@@ -111,4 +119,4 @@ class NeighborList(eqx.Module):
 def list_neighbors(positions: Float[Array | np.ndarray, "n 2"], domain: Tube, margin: float = 0.0) -> NeighborList:
     """`NeighborList.allocate` for positions that passed their gate."""
     candidates, check = complete_lists(positions, domain, margin)
-    return NeighborList(candidates, domain, check.defect, check.is_far, check_angles(domain, len(positions)))
+    return NeighborList(candidates, domain, check.defect, check.is_far, check_angles(domain, len(positions)), margin)

@@ -1,5 +1,6 @@
 """Calls that do not depend on each other, by several processes at once, each on one core."""
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -38,7 +39,7 @@ class Workers:
     """A pool of processes, started when first there is work for two, and ended on leaving `with`.
 
     With one all is computed in this process. Each has one core and the precision of this process; what one of
-    them or this process compiled the others find in a folder. Results are the same to the bit for any number.
+    them compiled the others find in a folder. Results are the same to the bit for any number.
     """
 
     def __init__(self, count: int = 1) -> None:
@@ -109,6 +110,7 @@ def _ignoring_interrupts() -> Iterator[None]:
 
 def _set_up(compiled: str | None, x64: bool) -> None:
     """Make this process a worker."""
+    gc.enable()  # a command's process puts it off until its imports are done
     use_cores(1)
     keep_usual_modes()
     jax.config.update("jax_platforms", "cpu")

@@ -17,9 +17,10 @@ from jaxtissue.compilation.fusion import options
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.cells import CellGeometry
+from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines
 from jaxtissue.neighbors.neighbor_list import NeighborList, list_neighbors
+from jaxtissue.neighbors.search import TILES, find_defect
 from jaxtissue.neighbors.shortlists import (
     CANDIDATES,
     STOPS,
@@ -192,7 +193,7 @@ class CellMeasurer:
         positions = as_positions(positions, self.tube)
         kept, lacks = self._kept, True
         if kept and len(kept.neighbors) == len(positions):
-            lacks = check and not kept.neighbors.holds(positions)
+            lacks = check and not kept.neighbors.covers(positions)
         if lacks or not kept:
             kept = self._renew(positions)
         return _measure(positions, kept.placed)
@@ -217,10 +218,15 @@ class CellMeasurer:
         # all candidates that stop a cell, as the check's lines might miss one; in steps, so that shapes are few
         bounding = int((clear <= STOPS).sum(axis=2).max())
         count = min(max(shortlist_length(n), -(-bounding // CANDIDATES) * CANDIDATES), sides.shape[2])
-        few = replace(neighbors, candidates=nearest_sides(sides, clear, count))
-        while count < sides.shape[2] and not few.holds(positions):  # a cell may need more
+
+        def shorter(count: int) -> NeighborList:
+            few = nearest_sides(sides, clear, count)
+            return replace(neighbors, candidates=few, tiling_defect=np.asarray(find_defect(positions, tube, few)))
+
+        few = shorter(count)
+        while count < sides.shape[2] and few.tiling_defect >= TILES:  # a cell may need more
             count = min(2 * count, sides.shape[2])
-            few = replace(neighbors, candidates=nearest_sides(sides, clear, count))
+            few = shorter(count)
         self.num_rebuilds += 1
         everywhere = NamedSharding(mesh(tuple(jax.local_devices())), PartitionSpec())
         self._kept = Kept(few, jax.device_put((tube, lines, few.candidates), everywhere))

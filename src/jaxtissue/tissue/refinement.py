@@ -14,7 +14,8 @@ from scipy.spatial import KDTree
 
 from jaxtissue.compilation.fusion import options
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.cells import CellGeometry, measure_cells
+from jaxtissue.measurement.cell_geometry import CellGeometry
+from jaxtissue.measurement.cells import measure_cells
 from jaxtissue.measurement.quadrature import Lines, Resolution, plan_lines
 from jaxtissue.neighbors.neighbor_list import NeighborList
 from jaxtissue.topology.traced_sizes import trace_sizes
