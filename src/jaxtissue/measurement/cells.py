@@ -61,7 +61,7 @@ def measure_window(
     by = bounding_neighbor(grid, rivals, ends, tube, truth)
     wall = walls(by, rivals, ends, grid, tube, truth)
     if weights is not None:
-        wall = wall._replace(area=wall.area * facing(weights, by, truth))
+        wall = wall._replace(area=wall.area * take_rows(weights.ravel(), facing(by)))
     inside, step = wall.reach[:, 0] + wall.reach[:, 1] > 0, lines.step(dtype, shift)
     strip = jnp.pad((inside[1:] | inside[:-1]) & (step[:-1] > 0), ((1, 1), (0, 0)))
     bears = strip[1:] | strip[:-1]

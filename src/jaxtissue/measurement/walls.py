@@ -120,8 +120,12 @@ def walls(by: Array, rivals: RelativeCoords, ends: Array, grid: LineFrame, tube:
     A rival's turn is one complex number, versine + i sine: gathering two real ones takes twice as long. Walls
     that are level are seldom there, and only then looked for.
     """
-    end = by == BOUNDARY
-    turn, half = (facing(table, by, truth) for table in (jax.lax.complex(rivals.versine, rivals.sine), rivals.half))
+    end, at = by == BOUNDARY, facing(by)
+
+    def there(table: Array) -> Array:
+        return fusion_barrier(lambda: take_rows(table.ravel(), at), truth)
+
+    turn, half = there(jax.lax.complex(rivals.versine, rivals.sine)), there(rivals.half)
     line = jax.tree.map(lambda table: table[:, None], grid)
     level = is_level(rivals, tube).any()
 
@@ -146,11 +150,10 @@ def walls(by: Array, rivals: RelativeCoords, ends: Array, grid: LineFrame, tube:
     return jax.lax.cond(level, lambda: wall(True), lambda: wall(False))
 
 
-def facing(table: Array, by: Int[Array, "lines 2 cells"], truth: Array) -> Array:
-    """What a table of the candidates, [candidates, 2, cells], has of the one that ends each cell on each line."""
+def facing(by: Int[Array, "lines 2 cells"]) -> Int[Array, "lines 2 cells"]:
+    """Where a flat table of the candidates, [candidates, 2, cells], has the one that ends each cell on each line."""
     cells = by.shape[-1]
-    at = jnp.maximum(by, 0) * (2 * cells) + jnp.arange(2 * cells, dtype=by.dtype).reshape(2, cells)
-    return fusion_barrier(lambda: take_rows(table.ravel(), at), truth)
+    return jnp.maximum(by, 0) * (2 * cells) + jnp.arange(2 * cells, dtype=by.dtype).reshape(2, cells)
 
 
 def is_level(rivals: RelativeCoords, tube: Tube) -> Array:
