@@ -92,6 +92,12 @@ def test_bad_arguments_are_refused_by_name(positions, arguments, told):
         jt.anneal(positions, TUBE, **arguments)
 
 
+def test_a_model_in_single_precision_is_of_the_same_tube(positions):
+    tube = jt.Tube(12.1, 1.1, 3.1)
+    model = Annealer(jt.tube_model(tube, CELLS), "draft", "is-mh", 0, jt.constant_schedule(2.0, 1)).model
+    assert len(jt.anneal(positions, tube, sweeps=0, model=model).energies) == 1
+
+
 def test_no_sweeps_measure_what_is_there(positions):
     result = jt.anneal(positions, TUBE, sweeps=0)
     np.testing.assert_array_equal(result.positions, positions)

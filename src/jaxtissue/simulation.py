@@ -14,13 +14,12 @@ from jaxtissue.dynamics.schedules import constant_schedule
 from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.energy import Model, tube_model
 from jaxtissue.geometry.positions import as_positions
-from jaxtissue.geometry.tube import Tube
+from jaxtissue.geometry.tube import TUBE_SIZES, Tube
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Resolution
 from jaxtissue.system.frames import as_frame
 from jaxtissue.tissue.measurer import measure_tissue
 
-TUBE_SIZES = ("length", "apical_radius", "basal_radius")
 Callback = Callable[[SweepRecord, Float[np.ndarray, "n 2"]], Any]
 
 
@@ -109,7 +108,8 @@ def anneal(
     """
     place = as_positions(positions, domain)
     model = model if model is not None else tube_model(domain, len(place))
-    if any(float(getattr(model.tube, name)) != float(getattr(domain, name)) for name in TUBE_SIZES):
+    sizes = [[float(getattr(tube, name)) for name in TUBE_SIZES] for tube in (model.tube, domain)]
+    if not np.allclose(*sizes, rtol=1e-6, atol=0):  # one may be in single precision
         raise ValueError(f"the model is of {model.tube}, and the positions stand in {domain}; make one for that tube")
     if sweeps < 0:
         raise ValueError(f"sweeps={sweeps} is below 0; give a number of sweeps")
@@ -120,14 +120,15 @@ def anneal(
     annealer = Annealer(model, resolution, "is-mh", seed, schedule)
     state = annealer.start(place)
     records, last = [annealer.record(state)], state.positions
+    ended = False
     with tqdm(total=sweeps, desc="annealing", unit="sweep", disable=None) as bar:
-        while state.sweep < sweeps:
+        while state.sweep < sweeps and not ended:
             state, played, trail = annealer.advance(state)
             for record, last in zip(played, trail, strict=True):
                 records.append(record)
                 bar.update()
-                if callback is not None and bool(callback(record, last)):
-                    sweeps = 0
+                ended = callback is not None and bool(callback(record, last))
+                if ended:
                     break
             bar.set_postfix(energy=f"{records[-1].energy:.4g}", acceptance=f"{records[-1].acceptance:.2f}")
     return AnnealResult(np.asarray(last), measure_tissue(jnp.asarray(last), domain), records, model)

@@ -16,14 +16,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtissue.cli.options import TUBE_SIZES, command_parser
+from jaxtissue.cli.options import command_parser
 from jaxtissue.compilation import program_cache
 from jaxtissue.compilation.batching import keep_compiled
 from jaxtissue.compilation.devices import use_cores
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.dynamics.metropolis import warn_of_coarse_places
 from jaxtissue.energy import tube_model
-from jaxtissue.geometry.tube import Tube
+from jaxtissue.geometry.tube import TUBE_SIZES, Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.annealing import resume_annealing, run_annealing
 from jaxtissue.runs.backbone_files import BackboneTable, read_backbones

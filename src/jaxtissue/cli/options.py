@@ -7,6 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn
 
+from jaxtissue.geometry.tube import TUBE_SIZES
 from jaxtissue.measurement.quadrature import as_resolution
 from jaxtissue.runs.settings import Settings
 
@@ -15,7 +16,6 @@ RELATIVE = (
     "K, LAMBDA and T without units: volumes in units of the mean cell's, Vbar, areas of Vbar^(2/3); the "
     "paper's tube of 500 cells has --tension 0.0016 --temperature 0.0005"
 )
-TUBE_SIZES = ("length", "apical_radius", "basal_radius")
 _HELP = {
     "anneal": "anneal a tissue into a folder, or take up a run there",
     "grid": "anneal a grid of tissues into one table, or what is missing of it",

@@ -15,6 +15,7 @@ from numpy.typing import DTypeLike
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.backbones import Backbones
 
+TUBE_SIZES = ("length", "apical_radius", "basal_radius")
 THIN = 0.01  # of the wall, by which rounding of the radii may change it
 
 
