@@ -24,6 +24,7 @@ from jaxtissue.dynamics.schedules import constant_schedule, geometric_schedule
 from jaxtissue.dynamics.steps import init, step
 from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
+from jaxtissue.geometry.domain_files import load_domain
 from jaxtissue.geometry.tube import Tube, cells_for_unit_volume
 from jaxtissue.measurement.adhesion import Adhesion
 from jaxtissue.measurement.cell_geometry import CellGeometry
@@ -79,6 +80,7 @@ __all__ = [
     "label_points",
     "label_volumes",
     "lateral_tension",
+    "load_domain",
     "measure_tissue",
     "nearest_backbones",
     "polygon_classes",

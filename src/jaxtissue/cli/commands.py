@@ -23,6 +23,7 @@ from jaxtissue.compilation.devices import use_cores
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.dynamics.metropolis import warn_of_coarse_places
 from jaxtissue.energy import tube_model
+from jaxtissue.geometry.domain_files import load_domain
 from jaxtissue.geometry.tube import TUBE_SIZES, Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.annealing import resume_annealing, run_annealing
@@ -87,6 +88,8 @@ def anneal(arguments: dict[str, Any]) -> int:
     """Anneal a tissue into a folder, or take up a run there."""
     use_cores(1)
     folder, force, resume, finish = (arguments.pop(name) for name in ("out", "force", "resume", "finish"))
+    if domain := _given_domain(arguments):
+        arguments |= {name: getattr(domain, name) for name in TUBE_SIZES}
     if resume:
         return resume_annealing(folder, arguments, finish)
     if finish:
@@ -245,8 +248,28 @@ def _refuse_both(arguments: dict[str, Any], *names: str) -> None:
 
 def _read(arguments: dict[str, Any]) -> tuple[Tube, BackboneTable]:
     _use_x64(arguments["x64"])
-    tube = Tube(*(arguments[name] for name in TUBE_SIZES))
+    tube = _given_domain(arguments) or Tube(*_tube_sizes(arguments))
     return tube, read_backbones(arguments["file"], tube, arguments["degrees"])
+
+
+def _given_domain(arguments: dict[str, Any]) -> Tube | None:
+    """The domain of --domain, which is taken out of the arguments. Raises `ValueError` for sizes beside it."""
+    path = arguments.pop("domain", None)
+    if path is None:
+        return None
+    for name in TUBE_SIZES:
+        if name in arguments:
+            option = "--" + name.replace("_", "-")
+            raise ValueError(f"{option} is a size of the domain in {path}; leave it or --domain out")
+    return load_domain(path)
+
+
+def _tube_sizes(arguments: dict[str, Any]) -> list[float]:
+    """The sizes of the tube. Raises `ValueError` where one is not given."""
+    missing = ["--" + name.replace("_", "-") for name in TUBE_SIZES if name not in arguments]
+    if missing:
+        raise ValueError(f"{', '.join(missing)} not given; give all sizes of the tube, or its file by --domain")
+    return [arguments[name] for name in TUBE_SIZES]
 
 
 def _use_x64(x64: bool) -> None:

@@ -45,8 +45,10 @@ def command_parser() -> argparse.ArgumentParser:
         command = options[name]
         command.add_argument("file", type=Path, metavar="FILE", help="backbones as CSV: columns axial,angle")
         command.add_argument("--degrees", action="store_true", help=DEGREES)
+        _add_domain(command)
         for size in TUBE_SIZES:
-            command.add_argument(_option(size), type=_number(0, above=True), required=True, metavar="X")
+            _add(command, size, "size of the tube, if there is no --domain", None, type=_number(0, above=True),
+                 metavar="X")  # fmt: skip
         _add_folder(command, required=name == "measure")
     _add_grid(options["grid"])
     _add_measure(options["measure"])
@@ -78,6 +80,7 @@ def _add_anneal(command: argparse.ArgumentParser) -> None:
     }
     for name, (kind, metavar, text) in kinds.items():
         _add(command, name, text, getattr(Settings, name), type=kind, metavar=metavar)
+    _add_domain(command)
     command.add_argument("--relative", action="store_true", default=argparse.SUPPRESS, help=RELATIVE)
     _add_contacts(command, argparse.SUPPRESS, argparse.SUPPRESS)
     _add(command, "algorithm", "rounds of independent moves, or one move at a time", Settings.algorithm,
@@ -86,6 +89,11 @@ def _add_anneal(command: argparse.ArgumentParser) -> None:
     _add(start, "backbones", "CSV of backbones to start from", None, metavar="FILE")
     command.add_argument("--degrees", action="store_true", default=argparse.SUPPRESS, help=DEGREES)
     _add(start, "cells", "number of random cells to start from", Settings.cells, type=_count(1), metavar="N")
+
+
+def _add_domain(command: argparse.ArgumentParser) -> None:
+    _add(command, "domain", "JSON file of the tissue's shape and sizes, in place of the sizes of the tube", None,
+         type=Path, metavar="FILE")  # fmt: skip
 
 
 def _add_grid(command: argparse.ArgumentParser) -> None:

@@ -1,0 +1,174 @@
+"""Domains as files: a JSON object with the name of a shape and its sizes, read whole or refused.
+
+To add a shape is to add its row to `SHAPES`.
+"""
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.system.files import write_json
+
+LARGEST = sys.float_info.max
+Reader = Callable[[Any], Any]  # of one size: it raises `ValueError` that says what to give
+
+
+def number(value: Any) -> float:
+    """A finite number; `Tube` and other domains say themselves which numbers they take."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
+        raise ValueError("give a finite number")
+    return float(value)
+
+
+def flag(value: Any) -> bool:
+    """True or false."""
+    if not isinstance(value, bool):
+        raise ValueError("give true or false")
+    return value
+
+
+def several(count: int, reader: Reader) -> Reader:
+    """A reader of a list of `count` values, each read by `reader`."""
+
+    def read(value: Any) -> tuple[Any, ...]:
+        if not isinstance(value, list) or len(value) != count:
+            raise ValueError(f"give a list of {count}")
+        return tuple(map(reader, value))
+
+    return read
+
+
+class Shape(NamedTuple):
+    """How the domains of one shape stand in a file.
+
+    Attributes:
+        kind: The class of its domains.
+        sizes: A reader for each size, by its name in the file, which is also that of the attribute.
+        make: Makes a domain from the sizes, given by name.
+        defaults: Sizes that may be left out; attributes that a domain need not have.
+    """
+
+    kind: type
+    sizes: Mapping[str, Reader]
+    make: Callable[..., Any]
+    defaults: Mapping[str, Any] = {}
+
+
+def _open_tube(length: float, apical_radius: float, basal_radius: float, periodic: bool) -> Tube:
+    if periodic:
+        raise ValueError("periodic=true is not yet known for a tube; give false")
+    return Tube(length, apical_radius, basal_radius)
+
+
+SHAPES: dict[str, Shape] = {
+    "tube": Shape(
+        Tube,
+        {"length": number, "apical_radius": number, "basal_radius": number, "periodic": flag},
+        _open_tube,
+        {"periodic": False},
+    ),
+}
+
+
+def load_domain(path: str | Path) -> Tube:
+    """Read the domain of a tissue from a JSON file.
+
+    The file holds one object, `{"shape": "tube", "length": 40, "apical_radius": 2, "basal_radius": 8, "periodic":
+    false}`, as `jaxtissue fit` writes it; `periodic` may be left out.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The domain, in the unit of the file's sizes.
+
+    Raises:
+        ValueError: If the file can't be read or is no such object, if the shape is unknown, or if a size is missing,
+            unknown, given twice, not a finite number, or one that the domain refuses.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "domain.json"
+    ...     _ = path.write_text('{"shape": "tube", "length": 40, "apical_radius": 2, "basal_radius": 8}')
+    ...     load_domain(path)
+    Tube(length=40.0, apical_radius=2.0, basal_radius=8.0)
+    """
+    path = Path(path)
+    try:
+        return read_domain(_read_object(path))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def read_domain(values: Mapping[str, Any]) -> Any:
+    """The domain with a shape and sizes, as they stand in a file. Raises `ValueError` as `load_domain` does.
+
+    >>> read_domain({"shape": "tube", "length": 40, "apical_radius": 2})
+    Traceback (most recent call last):
+    ValueError: the tube has no basal_radius; add it
+    """
+    sizes = dict(values)
+    if "shape" not in sizes:
+        raise ValueError(f'no shape is given; add "shape", one of {", ".join(SHAPES)}')
+    name = sizes.pop("shape")
+    if not isinstance(name, str) or name not in SHAPES:
+        raise ValueError(f"shape={name!r} is unknown; give one of {', '.join(SHAPES)}")
+    shape = SHAPES[name]
+    for size in sizes:
+        if size not in shape.sizes:
+            raise ValueError(f"{size!r} is no size of a {name}; give {', '.join(shape.sizes)}")
+    found = dict(shape.defaults)
+    for size, read in shape.sizes.items():
+        if size in sizes:
+            try:
+                found[size] = read(sizes[size])
+            except ValueError as error:
+                raise ValueError(f"{size}={json.dumps(sizes[size])} of the {name}: {error}") from None
+        elif size not in found:
+            raise ValueError(f"the {name} has no {size}; add it")
+    return shape.make(**found)
+
+
+def domain_values(domain: Any) -> dict[str, Any]:
+    """The shape and the sizes of a domain, as `read_domain` takes them.
+
+    >>> domain_values(Tube(40, 2, 8))
+    {'shape': 'tube', 'length': 40.0, 'apical_radius': 2.0, 'basal_radius': 8.0, 'periodic': False}
+    """
+    for name, shape in SHAPES.items():
+        if type(domain) is shape.kind:
+            sizes = {size: getattr(domain, size, shape.defaults.get(size)) for size in shape.sizes}
+            return {"shape": name} | {size: np.asarray(value).tolist() for size, value in sizes.items()}
+    raise ValueError(f"a {type(domain).__name__} can't be written; give a domain: {', '.join(SHAPES)}")
+
+
+def save_domain(domain: Any, path: str | Path) -> None:
+    """Write a domain as `load_domain` reads it: whole, or not at all. Its sizes must not be traced."""
+    write_json(Path(path), domain_values(domain))
+
+
+def _read_object(path: Path) -> dict[str, Any]:
+    """The one JSON object of a file."""
+    try:
+        values = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=_once)
+    except OSError as error:
+        raise ValueError(f"it can't be read ({error.strerror}); give the JSON file of a domain") from error
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(f"it is not JSON ({error}); give the JSON file of a domain") from error
+    if not isinstance(values, dict):
+        raise ValueError('it holds no object; give {"shape": ..., and its sizes}')
+    return values
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The pairs of an object, none of them twice."""
+    names = [name for name, _ in pairs]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{name!r} is given twice; leave one out")
+    return dict(pairs)
