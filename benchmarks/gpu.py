@@ -23,7 +23,8 @@ import numpy as np
 
 import jaxtissue as jt
 from jaxtissue.compilation.fusion import options
-from jaxtissue.dynamics.annealer import SPAN, advance_together, record_together
+from jaxtissue.dynamics.annealer import advance_together, record_together
+from jaxtissue.dynamics.replays import SPAN
 from jaxtissue.measurement.cells import measure_cells
 from jaxtissue.measurement.quadrature import plan_lines
 

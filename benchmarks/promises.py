@@ -21,7 +21,8 @@ import numpy as np
 
 import jaxtissue as jt
 from jaxtissue.compilation.batching import PROGRAMS
-from jaxtissue.dynamics.annealer import SPAN, advance_together
+from jaxtissue.dynamics.annealer import advance_together
+from jaxtissue.dynamics.replays import SPAN
 
 CELLS, SWEEPS, SEEDS = 500, 100, 5
 RADII = (1.0, 5.0, 2.0, 8.0)

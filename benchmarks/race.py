@@ -17,7 +17,7 @@ import numpy as np
 from peer import Peer, find_peer
 
 import jaxtissue as jt
-from jaxtissue.dynamics.annealer import SPAN
+from jaxtissue.dynamics.replays import SPAN
 from jaxtissue.measurement.quadrature import as_resolution
 
 RESOLUTIONS = ("draft", "standard", "fine", "3x4", "4x3.3", "7x7")

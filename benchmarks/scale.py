@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 import jaxtissue as jt
-from jaxtissue.dynamics.annealer import SPAN
+from jaxtissue.dynamics.replays import SPAN
 from jaxtissue.measurement.quadrature import as_resolution
 
 WARM_UP = 2 * SPAN  # sweeps before those that are timed: in the first, lists are renewed more often

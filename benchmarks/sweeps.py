@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 import jaxtissue as jt
 from jaxtissue.compilation.batching import PROGRAMS
-from jaxtissue.dynamics.annealer import SPAN
+from jaxtissue.dynamics.replays import SPAN
 
 SWEEPS = 100
 LOOKS = (0, 1, 2, 5, 10, 20, 30, 50, 75, 100)

@@ -1,12 +1,11 @@
 """The reference tubes and the two precisions, for all tests."""
 
 import gc
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +16,7 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from matplotlib.figure import Figure
 from quick import ASKED, quick_options
 
-from jaxtissue.compilation.batching import PROGRAMS, Request, Task
+from jaxtissue.compilation.batching import PROGRAMS
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.neighbors import search
 from jaxtissue.runs import plots
@@ -165,8 +164,3 @@ def dtype(request):
     """Both precisions in turn, with 64-bit arrays switched on for the second."""
     with jax.enable_x64(request.param == jnp.float64):
         yield request.param
-
-
-def ask(function: Callable[..., Any], *arguments: Any) -> Task[Any]:
-    """The task that makes one request and returns its result."""
-    return (yield Request(function, arguments)).result

@@ -5,10 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtissue.compilation.batching import PROGRAMS, run_together
-from jaxtissue.dynamics.annealer import SPAN, Annealer, AnnealState, renews_at
+from jaxtissue.compilation.batching import PROGRAMS, Batch
+from jaxtissue.dynamics import replays
+from jaxtissue.dynamics.annealer import Annealer, AnnealState, renews_at
 from jaxtissue.dynamics.coloring import CONFLICTS
+from jaxtissue.dynamics.replays import SPAN, Segment, play_spans
 from jaxtissue.dynamics.schedules import constant_schedule, geometric_schedule, has_stalled
+from jaxtissue.dynamics.survey import survey_together
 from jaxtissue.energy import epithelial_energy, tube_model
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.quadrature import PRESETS
@@ -157,24 +160,24 @@ def test_tubes_of_other_sizes_need_no_program_of_their_own(start) -> None:
 
 def play_span(run: Annealer, state: AnnealState, sweeps: int):
     """Some sweeps by the run's own rounds."""
-
-    def task():
-        plan = yield from run._rounds(state)
-        return (yield from run._play(state, plan, sweeps))
-
-    return run_together([task()])[0]
+    batch = Batch()
+    (measured,) = survey_together([run._tissue(state.positions)], batch)
+    span = run._span(state, measured)
+    span.segments = [Segment(sweeps * span.segments[0].plan[:1])]
+    play_spans([span], batch)
+    return AnnealState(span.sweep, span.tissue.positions, span.around), span.trail, span.drift
 
 
 def sweep_with(candidates: int, monkeypatch, sweeps: int):
     """State, trail and drift of some sweeps of 60 cells on so few candidates a side; how often played."""
     monkeypatch.setattr(shortlists, "CANDIDATES", candidates)
-    run, plays = annealer(sweeps), []
+    run, plays, usual = annealer(sweeps), [], replays.Span.call
 
     def count(*arguments):
         plays.append(arguments)
-        return (yield from Annealer._play_on(run, *arguments))
+        return usual(*arguments)
 
-    monkeypatch.setattr(run, "_play_on", count)
+    monkeypatch.setattr(replays.Span, "call", count)
     state = run.start(TUBE.random_positions(jax.random.key(4), CELLS))
     energy = run.record(state).energy
     state, trail, drift = play_span(run, state, sweeps)

@@ -4,18 +4,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import ask
 from scipy import stats
 
-from jaxtissue.compilation.batching import PROGRAMS, run_together
+from jaxtissue.compilation.batching import PROGRAMS, Batch
 from jaxtissue.compilation.fusion import options
-from jaxtissue.dynamics.annealer import SPAN, Annealer
+from jaxtissue.dynamics.annealer import Annealer, AnnealState
 from jaxtissue.dynamics.coloring import color, hop_conflicts
 from jaxtissue.dynamics.independent_sets import CAPACITY, padded_orders
 from jaxtissue.dynamics.local_updates import Scene
 from jaxtissue.dynamics.metropolis import draw, move_bound, propose
+from jaxtissue.dynamics.replays import SPAN, Segment, play_spans
 from jaxtissue.dynamics.schedules import constant_schedule
 from jaxtissue.dynamics.spans import play
+from jaxtissue.dynamics.survey import survey_together
 from jaxtissue.dynamics.sweep_log import shortlist_neighbors
 from jaxtissue.energy import tube_model
 from jaxtissue.geometry.tube import Tube
@@ -35,8 +36,9 @@ class Bench:
     def __init__(self) -> None:
         self.annealer = Annealer(tube_model(TUBE, CELLS), PRESET, "is-mh", 5, constant_schedule(2.0, 20))
         self.start = self.annealer.start(TUBE.random_positions(jax.random.key(1), CELLS))
-        measured, plan = run_together([self.annealer._measure(self.start), self.annealer._rounds(self.start)])
-        self.lines = self.annealer._lines(self.start)
+        (measured,) = survey_together([self.annealer._tissue(self.start.positions)], Batch())
+        plan = self.annealer._span(self.start, measured).segments[0].plan
+        self.lines = self.annealer._tissue(self.start.positions).lines[0]
         self.near = shortlist_neighbors(measured.sides, measured.clear, 0)
         self.tissue = measured.tissue
         self.width = plan[0].shape[1]  # so that all share the run's program
@@ -51,17 +53,17 @@ class Bench:
         draws, tissue = np.zeros((SPAN, 3, CELLS)), tissue or self.tissue
         draws[0] = draw(seed, 0, CELLS, draws.dtype)
         scene = Scene(self.annealer.model, self.near, self.lines)
-        ((after, trail),) = run_together([ask(play, draws, tissue, scene, temperatures, orders)])
+        ((after, trail),) = Batch().run(play, [(draws, tissue, scene, temperatures, orders)])
         return after, jax.tree.map(lambda leaf: leaf[0], trail.info)
 
     def play(self, state, sweeps: int, plan=None):
         """Some sweeps by a plan, else by the run's own: the state after them, their trail and drift."""
-
-        def task():
-            chosen = plan or (yield from self.annealer._rounds(state))
-            return (yield from self.annealer._play(state, chosen, sweeps))
-
-        return run_together([task()])[0]
+        batch = Batch()
+        (measured,) = survey_together([self.annealer._tissue(state.positions)], batch)
+        span = self.annealer._span(state, measured)
+        span.segments = [Segment((plan or SPAN * span.segments[0].plan[:1])[:sweeps])]
+        play_spans([span], batch)
+        return AnnealState(span.sweep, span.tissue.positions, span.around), span.trail, span.drift
 
     def energy(self, positions) -> float:
         """Measured afresh, everyone a candidate of everyone."""

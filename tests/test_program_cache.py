@@ -9,10 +9,10 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from conftest import ask, forget_programs
+from conftest import forget_programs
 
 from jaxtissue.compilation import program_cache
-from jaxtissue.compilation.batching import run_together
+from jaxtissue.compilation.batching import Batch
 from jaxtissue.dynamics.spans import energy_terms
 from jaxtissue.energy import tube_model
 from jaxtissue.geometry.tube import Tube
@@ -42,7 +42,7 @@ def run(cells: int = 5, tension: float = 0.4) -> tuple[np.ndarray, int]:
 
     jax.monitoring.register_event_duration_secs_listener(note)
     try:
-        ((energy, *_),) = run_together([ask(energy_terms, sizes, model)])
+        ((energy, *_),) = Batch().run(energy_terms, [(sizes, model)])
     finally:
         jax.monitoring.unregister_event_duration_listener(note)
     return energy, len(traced)

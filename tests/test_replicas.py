@@ -6,11 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import ask
 
 from jaxtissue.compilation import batching
-from jaxtissue.compilation.batching import PROGRAMS, Ahead, Request, run_together
-from jaxtissue.dynamics import annealer
+from jaxtissue.compilation.batching import PROGRAMS, Batch
+from jaxtissue.dynamics import replays
 from jaxtissue.dynamics.annealer import Annealer, advance_together, record_together
 from jaxtissue.energy import Model, tube_model
 from jaxtissue.geometry.tube import Tube
@@ -78,16 +77,16 @@ def test_other_values_and_fewer_replicas_need_no_program_of_their_own(together) 
 
 @pytest.mark.parametrize("again", ["replayed", "in halves"])
 def test_a_replay_leaves_the_others_alone(again: str, monkeypatch) -> None:
-    plays, usual = [], Annealer._play_on
+    plays, usual = [], replays.Span.call
 
-    def noted(run, *arguments):
-        plays.append(run.seed)
-        return (yield from usual(run, *arguments))
+    def noted(span, near):
+        plays.append(span.seed)
+        return usual(span, near)
 
     monkeypatch.setattr(shortlists, "CANDIDATES", 8)
-    monkeypatch.setattr(Annealer, "_play_on", noted)
+    monkeypatch.setattr(replays.Span, "call", noted)
     if again == "in halves":
-        monkeypatch.setattr(annealer, "list_first", lambda *_: False)
+        monkeypatch.setattr(replays, "list_first", lambda *_: False)
     told, counts = play(KINDS, SLOTS), {seed: plays.count(seed) for seed in set(plays)}
     assert len(set(counts.values())) > 1  # some replicas were played more often than others
     assert told == [one for kind in KINDS for one in play([kind], SLOTS)]
@@ -105,7 +104,7 @@ def test_all_at_once_as_on_a_gpu_is_the_same_as_in_turn(monkeypatch) -> None:
     def play(values: range) -> list[tuple]:
         models = [tube_model(Tube(1.0, 1.0, 2.0), 3, modulus=1.0 + value) for value in values]
         tables = [np.arange(3, dtype=np.float32) * 4**value for value in values]
-        results = run_together([ask(shrink, *both) for both in zip(tables, models, strict=True)], 4)
+        results = Batch(4).run(shrink, list(zip(tables, models, strict=True)))
         return [(table.tolist(), int(count)) for table, count in results]
 
     in_turn = play(range(3))
@@ -115,22 +114,24 @@ def test_all_at_once_as_on_a_gpu_is_the_same_as_in_turn(monkeypatch) -> None:
     assert play(range(3)) == in_turn
 
 
-def test_tasks_go_on_turn_by_turn_and_slots_without_one_are_skipped() -> None:
+def total(table: jax.Array) -> jax.Array:
+    return table.sum()
+
+
+def test_slots_without_a_call_are_skipped_and_more_calls_than_slots_take_turns() -> None:
     def double(number: jax.Array) -> jax.Array:
         return 2 * number
 
-    def doubled(times: int):
-        number = np.float32(1.5)
-        for _ in range(times):
-            number = (yield Request(double, (number,))).result
-        return number
-
-    before = len(PROGRAMS)
-    assert run_together([doubled(0), doubled(1), doubled(3)], slots=5) == [1.5, 3.0, 12.0]
+    before, batch = len(PROGRAMS), Batch(5)
+    for count in (1, 3, 7):
+        assert batch.run(double, [(np.float32(k),) for k in range(count)]) == [2.0 * k for k in range(count)]
     assert len(PROGRAMS) == before + 1
-    assert run_together([]) == []
-    with pytest.raises(ZeroDivisionError):
-        run_together([ask(double, np.float32(1 / (len(PROGRAMS) - before - 1)))])
+    assert batch.run(double, []) == []
+
+
+def test_the_host_may_go_on_while_a_batch_computes() -> None:
+    results = Batch(2).start(total, [(np.full(3, k, np.float32),) for k in (1, 2)])
+    assert results() == [3.0, 6.0]
 
 
 @pytest.mark.parametrize("expected, programs_made", [(3, 1), (4, 2)])
@@ -138,13 +139,11 @@ def test_what_is_compiled_ahead_is_used_if_it_fits(expected: int, programs_made:
     def total(table: jax.Array) -> jax.Array:
         return table.sum()
 
-    def task():
-        yield Ahead(total, (np.zeros(expected, np.float32),))
-        return (yield Request(total, (np.ones(3, np.float32),))).result
-
-    before = len(PROGRAMS)
-    assert run_together([task(), task()]) == [3.0, 3.0]
-    assert len(PROGRAMS) == before + programs_made
+    before, batch = len(PROGRAMS), Batch(2)
+    for _ in range(2):
+        batch.prepare(total, (np.zeros(expected, np.float32),))
+    assert batch.run(total, 2 * [(np.ones(3, np.float32),)]) == [3.0, 3.0]
+    assert len(PROGRAMS) == before + programs_made and batch.compile_seconds > 0
 
 
 def test_what_failed_ahead_is_compiled_when_it_is_asked_for(monkeypatch) -> None:
@@ -157,27 +156,12 @@ def test_what_failed_ahead_is_compiled_when_it_is_asked_for(monkeypatch) -> None
     def total(table: jax.Array) -> jax.Array:
         return table.sum()
 
-    def task():
-        yield Ahead(total, (np.zeros(3, np.float32),))
-        return (yield Request(total, (np.ones(3, np.float32),))).result
-
     monkeypatch.setattr(batching, "BESIDE", Fails())
-    assert run_together([task()]) == [3.0]
+    batch = Batch()
+    batch.prepare(total, (np.zeros(3, np.float32),))
+    assert batch.run(total, [(np.ones(3, np.float32),)]) == [3.0]
 
 
-def test_requests_of_other_shapes_run_in_programs_of_their_own() -> None:
-    def total(table: jax.Array) -> jax.Array:
-        return table.sum()
-
+def test_calls_of_other_shapes_run_in_programs_of_their_own() -> None:
     tables = [np.ones(3, np.float32), np.ones(5, np.float32), np.full(3, 2, np.float32)]
-    assert run_together([ask(total, table) for table in tables]) == [3.0, 5.0, 6.0]
-
-    def fit(arguments: tuple, sizes: tuple[int, ...]) -> tuple:
-        return (np.pad(arguments[0], (0, sizes[0] - len(arguments[0]))),)
-
-    def task(table: np.ndarray):
-        return (yield Request(total, (table,), (len(table),), fit)).result
-
-    before = len(PROGRAMS)
-    assert run_together([task(table) for table in tables]) == [3.0, 5.0, 6.0]
-    assert len(PROGRAMS) == before  # all in that of the longest
+    assert Batch(3).run(total, [(table,) for table in tables]) == [3.0, 5.0, 6.0]

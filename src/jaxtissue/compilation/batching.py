@@ -1,8 +1,6 @@
 """Compiled programs: kept for all arguments alike in shapes, and lifted over replicas and devices.
 
-What happens to one replica is written as for one, as a task: a generator that yields a `Request` where it
-needs something compiled, and `Ahead` for what it will need. Tasks go on turn by turn; requests of one turn
-that are alike run together.
+A function is written for one replica. `Batch.run` calls it for several: calls alike in shapes run as one program.
 """
 
 import functools
@@ -10,10 +8,10 @@ import os
 import stat
 import time
 import warnings
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any
 from uuid import uuid4
 
 import jax
@@ -25,62 +23,101 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtissue.compilation import program_cache
 from jaxtissue.compilation.fusion import options
 
-T = TypeVar("T")
 AXIS = "replicas"
 IN_TURN = ("cpu",)  # platforms whose devices take their replicas one after another, not all at once
 PROGRAMS: dict[Any, Callable | Future] = {}  # compiled, or being so, for arguments alike in shapes
 BESIDE = ThreadPoolExecutor(2, "compile")  # compile what will be needed, beside what is done meanwhile
+Function = Callable[..., Any]
 
 
-class Request(NamedTuple):
-    """A call of a jittable function with the arrays of one replica.
+class Batch:
+    """Runs functions of one replica for several replicas at once, spread over the devices of this process.
 
-    Where the axes of some arrays may be longer than one replica needs, `sizes` tells what it needs, and
-    `fit(arguments, sizes)` pads to those of all; that must not change the result. `seldom`: it is optimized
-    less, and compiled sooner. `meanwhile` is done on the host while the device computes.
+    The arrays of a program have a leading axis of `slots` replicas; slots without a call are skipped. So a program
+    serves any number of replicas up to `slots`, and no replica's result depends on the others.
+
+    Attributes:
+        compile_seconds: The time spent tracing or waiting for programs.
     """
 
-    function: Callable[..., Any]
-    arguments: tuple
-    sizes: tuple[int, ...] = ()
-    fit: Callable[[tuple, tuple[int, ...]], tuple] | None = None
-    seldom: bool = False
-    meanwhile: Callable[[], Any] = lambda: None
-
-
-class Ahead(NamedTuple):
-    """A request that is likely to follow: its program is compiled while the task goes on."""
-
-    function: Callable[..., Any]
-    arguments: tuple
-    seldom: bool = False
-
-
-class Answer(NamedTuple):
-    """The result of a request, as NumPy arrays.
-
-    `compile_seconds` were spent tracing or waiting for a program; `meanwhile` is the result of the work done meanwhile.
-    """
-
-    result: Any
-    compile_seconds: float
-    meanwhile: Any = None
-
-
-Task = Generator[Request | Ahead, Answer, T]
-
-
-class Asker:
-    """Asks for what a task needs, and adds up how long it traced or waited for programs."""
-
-    def __init__(self) -> None:
+    def __init__(self, slots: int = 1) -> None:
         self.compile_seconds = 0.0
+        devices = max(1, min(len(jax.local_devices()), slots))
+        self._mesh, self._slots = _mesh(devices), -(-slots // devices) * devices
 
-    def ask(self, step: Request | Ahead) -> Task[Answer]:
-        """The answer to one request."""
-        answer = yield step
-        self.compile_seconds += answer.compile_seconds
-        return answer
+    def run(self, function: Function, calls: Sequence[tuple], light: bool = False) -> list[Any]:
+        """The results of a jittable function, as NumPy arrays, for the arguments of each replica.
+
+        If `light`, the function is optimized less, and compiled sooner.
+        """
+        return self.start(function, calls, light)()
+
+    def start(self, function: Function, calls: Sequence[tuple], light: bool = False) -> Callable[[], list[Any]]:
+        """As `run`, but what is returned gives the results when it is called: the host may go on until then."""
+        arguments = [_plain(call) for call in calls]
+        groups: dict[Any, list[int]] = {}
+        for number, call in enumerate(arguments):
+            groups.setdefault(_shapes(call), []).append(number)
+        begun = []
+        for alike in groups.values():
+            for first in range(0, len(alike), self._slots):
+                numbers = alike[first : first + self._slots]
+                begun.append((numbers, *self._begin(function, [arguments[k] for k in numbers], light)))
+
+        def results() -> list[Any]:
+            found: list[Any] = [None] * len(calls)
+            for numbers, pending, places in begun:
+                whole = jax.tree.map(np.asarray, pending)
+                for number, place in zip(numbers, places, strict=True):
+                    found[number] = jax.tree.map(lambda leaf, place=place: leaf[place], whole)
+            return found
+
+        return results
+
+    def prepare(self, function: Function, call: tuple, light: bool = False) -> None:
+        """Begin to compile a function for arguments like these, unless that was begun before.
+
+        It is traced here, under the settings of this thread. Accelerators try out kernels while they compile, and are
+        left alone.
+        """
+        if self._mesh.devices.flat[0].platform not in IN_TURN:
+            return
+        begin = time.perf_counter()
+
+        def shape(leaf: np.ndarray) -> jax.ShapeDtypeStruct:
+            return jax.ShapeDtypeStruct((self._slots, *leaf.shape), leaf.dtype)
+
+        rows = jax.ShapeDtypeStruct((self._slots,), np.dtype(bool)), jax.tree.map(shape, _plain(call))
+        known = function, _shapes(rows), self._mesh
+        if known not in PROGRAMS:
+            PROGRAMS[known] = BESIDE.submit(_compiling(function, light, self._mesh, rows))
+        self.compile_seconds += time.perf_counter() - begin
+
+    def _begin(self, function: Function, calls: list[tuple], light: bool) -> tuple[Any, np.ndarray]:
+        """Dispatch calls alike in shapes: the pending results of all slots, and the slot of each call."""
+        devices = self._mesh.size
+        # one replica on each device first, then the second on each
+        places = np.arange(self._slots).reshape(devices, -1).T.ravel()[: len(calls)]
+
+        def stacked(*leaves: np.ndarray) -> np.ndarray:
+            table = np.empty((self._slots, *leaves[0].shape), leaves[0].dtype)
+            table[:] = leaves[0]
+            for place, leaf in zip(places[1:], leaves[1:], strict=True):
+                table[place] = leaf
+            return table
+
+        active = np.zeros(self._slots, bool)
+        active[places] = True
+        rows = active, jax.tree.map(stacked, *calls)
+        known = function, _shapes(rows), self._mesh
+        program = PROGRAMS.get(known)
+        if program is None or isinstance(program, Future):
+            begin = time.perf_counter()
+            begun = None if program is None or program.exception() else program
+            program = begun.result() if begun else _compiling(function, light, self._mesh, rows)()
+            PROGRAMS[known] = program
+            self.compile_seconds += time.perf_counter() - begin
+        return program(*rows), places
 
 
 def keep_compiled() -> None:
@@ -120,53 +157,13 @@ def _is_private(folder: Path) -> bool:
     return status.st_uid in (os.geteuid(), 0) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
-def run_together(tasks: Sequence[Task[T]], slots: int = 0) -> list[T]:
-    """Run tasks to their ends, one for each replica, and return what each returns.
-
-    A turn takes every task to its next request; requests of one function and alike in shapes then run as one
-    program. Its arrays have a leading axis of `slots` replicas (at least as many as there are tasks), spread
-    over the devices of this process; slots without a request are skipped. So a program serves any number of
-    replicas up to `slots`, and no replica's result depends on the others.
-    """
-    devices = max(1, min(len(jax.local_devices()), max(slots, len(tasks))))
-    slots = -(-max(slots, len(tasks)) // devices) * devices
-    ends: dict[int, T] = {}
-    answers: dict[int, Any] = dict.fromkeys(range(len(tasks)))
-    widest: dict[Callable, tuple[int, ...]] = {}
-    while answers:
-        groups: dict[Any, list[int]] = {}
-        asked: dict[int, Request] = {}
-        for number, answer in answers.items():
-            try:
-                step = tasks[number].send(answer)
-                while isinstance(step, Ahead):
-                    begin = time.perf_counter()
-                    _compile_ahead(step, slots, devices)
-                    step = tasks[number].send(Answer(None, time.perf_counter() - begin))
-                asked[number] = step
-            except StopIteration as end:
-                ends[number] = end.value
-        for function, *sizes in {(request.function, *request.sizes) for request in asked.values()}:
-            widest[function] = tuple(map(max, sizes, widest.get(function, sizes)))
-        for number, request in asked.items():
-            arguments = _fitted(request, widest[request.function])
-            asked[number] = request._replace(arguments=arguments)
-            groups.setdefault((request.function, _shapes(arguments)), []).append(number)
-        answers = {}
-        for numbers in groups.values():
-            some = [asked[number] for number in numbers]
-            answers |= zip(numbers, _run_alike(some, slots, devices), strict=True)
-    return [ends[number] for number in range(len(tasks))]
-
-
-def _fitted(request: Request, sizes: tuple[int, ...]) -> tuple:
-    """The arguments as NumPy arrays of the precision JAX works in, padded to `sizes`."""
+def _plain(arguments: tuple) -> tuple:
+    """The arguments as NumPy arrays of the precision JAX works in."""
 
     def plain(leaf: Any) -> np.ndarray:
         array = np.asarray(leaf)
         return array.astype(jax.dtypes.canonicalize_dtype(array.dtype), copy=False)
 
-    arguments = request.fit(request.arguments, sizes) if request.fit else request.arguments
     return jax.tree.map(plain, arguments)
 
 
@@ -176,57 +173,26 @@ def _shapes(arguments: Any) -> tuple:
     return structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
 
 
-def _run_alike(requests: Sequence[Request], slots: int, devices: int) -> list[Answer]:
-    """One answer for each request; all are alike in function and shapes."""
-    # one request on each device first, then the second on each
-    place = np.arange(slots).reshape(devices, -1).T.ravel()[: len(requests)]
-
-    def stacked(*leaves: np.ndarray) -> np.ndarray:
-        table = np.empty((slots, *leaves[0].shape), leaves[0].dtype)
-        table[:] = leaves[0]
-        for at, leaf in zip(place[1:], leaves[1:], strict=True):
-            table[at] = leaf
-        return table
-
-    active = np.zeros(slots, bool)
-    active[place] = True
-    mesh, batch = _mesh(devices), (active, jax.tree.map(stacked, *(some.arguments for some in requests)))
-    function, compiling = requests[0].function, 0.0
-    known = function, _shapes(batch), mesh
-    program = PROGRAMS.get(known)
-    if program is None or isinstance(program, Future):
-        begin = time.perf_counter()
-        begun = None if program is None or program.exception() else program
-        program = begun.result() if begun else _compiling(requests[0], mesh, batch)()
-        PROGRAMS[known] = program
-        compiling = time.perf_counter() - begin
-    pending = program(*batch)
-    done = [request.meanwhile() for request in requests]
-    results = jax.tree.map(np.asarray, pending)
-    each = [jax.tree.map(lambda leaf, at=at: leaf[at], results) for at in place]
-    return [Answer(result, compiling, other) for result, other in zip(each, done, strict=True)]
-
-
-def _compiling(asked: Request | Ahead, mesh: Mesh, batch: tuple) -> Callable[[], Callable]:
+def _compiling(function: Function, light: bool, mesh: Mesh, rows: tuple) -> Callable[[], Callable]:
     """A function that gives the program for arguments of these shapes, spread over the mesh.
 
     It compiles what is traced here, or loads what was kept.
     """
-    sharding, chosen = NamedSharding(mesh, PartitionSpec(AXIS)), options(light=asked.seldom)
-    key = program_cache.key_of(asked.function, batch, chosen, mesh.size)
+    sharding, chosen = NamedSharding(mesh, PartitionSpec(AXIS)), options(light)
+    key = program_cache.key_of(function, rows, chosen, mesh.size)
 
     def shape(leaf: Any) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding)
 
     def trace() -> Callable[[], Callable]:
         def program(*arguments: Any) -> Any:
-            return _lifted(asked.function, mesh)(*arguments)
+            return _lifted(function, mesh)(*arguments)
 
-        name = asked.function.__name__
+        name = function.__name__
         if key is not None:  # what JAX's cache gives can't be kept: by this name it holds nothing
             name += f"_{uuid4().hex}"
         program.__name__ = name
-        lowered = jax.jit(program).lower(*jax.tree.map(shape, batch))
+        lowered = jax.jit(program).lower(*jax.tree.map(shape, rows))
 
         def compiled() -> Callable:
             done = lowered.compile(chosen)
@@ -237,28 +203,8 @@ def _compiling(asked: Request | Ahead, mesh: Mesh, batch: tuple) -> Callable[[],
         return compiled
 
     if key is not None and program_cache.has(key):
-        return lambda: program_cache.load(key, batch, list(mesh.devices.flat)) or trace()()
+        return lambda: program_cache.load(key, rows, list(mesh.devices.flat)) or trace()()
     return trace()
-
-
-def _compile_ahead(step: Ahead, slots: int, devices: int) -> None:
-    """Begin to compile a function for arguments like these, unless that was begun before.
-
-    It is traced here, under the settings of this thread. Accelerators try out kernels while they compile, and
-    are left alone.
-    """
-    mesh = _mesh(devices)
-    if mesh.devices.flat[0].platform not in IN_TURN:
-        return
-
-    def shape(leaf: np.ndarray) -> jax.ShapeDtypeStruct:
-        return jax.ShapeDtypeStruct((slots, *leaf.shape), leaf.dtype)
-
-    arguments = jax.tree.map(shape, _fitted(Request(step.function, step.arguments), ()))
-    batch = jax.ShapeDtypeStruct((slots,), np.dtype(bool)), arguments
-    known = step.function, _shapes(batch), mesh
-    if known not in PROGRAMS:
-        PROGRAMS[known] = BESIDE.submit(_compiling(step, mesh, batch))
 
 
 @functools.cache
@@ -268,7 +214,7 @@ def _mesh(devices: int) -> Mesh:
     return jax.make_mesh((devices,), (AXIS,), (AxisType.Auto,), devices=some)
 
 
-def _lifted(function: Callable[..., Any], mesh: Mesh) -> Callable[..., Any]:
+def _lifted(function: Function, mesh: Mesh) -> Callable[..., Any]:
     """A function of one replica as one of many, [replicas, ...], whose replicas are spread over a mesh.
 
     A CPU takes its replicas one after another, and skips inactive ones; other devices take all at once.

@@ -1,5 +1,6 @@
 """The compiled parts of annealing: the measurement of a whole tissue, and a span of sweeps on its lists."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -57,13 +58,20 @@ def play(
     return jax.lax.scan(one, state, (draws, temperatures, orders))
 
 
-def fit_play(arguments: tuple, sizes: tuple[int, ...]) -> tuple:
-    """The arguments of `play` with cells around each cell and rounds padded to the given lengths."""
-    draws, state, scene, temperatures, orders = arguments
-    spare = ((0, 0), (0, sizes[1] - orders.rounds.shape[1]), (0, 0))
-    near = scene.near._replace(around=pad_lists(scene.near.around, sizes[0]))
-    orders = orders._replace(rounds=np.pad(orders.rounds, spare, constant_values=-1))
-    return draws, state, scene._replace(near=near), temperatures, orders
+def fit_play(calls: Sequence[tuple], widths: tuple[int, int]) -> tuple[list[tuple], tuple[int, int]]:
+    """The arguments of `play` of several replicas, with cells around each cell and rounds padded to the longest.
+
+    They are at least as long as `widths`; the new widths are returned too. Padding does not change the result.
+    """
+    needs = [(scene.near.around.shape[1], orders.rounds.shape[1]) for _, _, scene, _, orders in calls]
+    around, rounds = (max(column) for column in zip(widths, *needs, strict=True))
+    fitted = []
+    for draws, state, scene, temperatures, orders in calls:
+        near = scene.near._replace(around=pad_lists(scene.near.around, around))
+        spare = ((0, 0), (0, rounds - orders.rounds.shape[1]), (0, 0))
+        orders = orders._replace(rounds=np.pad(orders.rounds, spare, constant_values=-1))
+        fitted.append((draws, state, scene._replace(near=near), temperatures, orders))
+    return fitted, (around, rounds)
 
 
 def energy_terms(cells: CellGeometry, model: Model) -> tuple[Array, Array, Array]:

@@ -1,7 +1,5 @@
 """One sweep as a pure function of a key and a state, from which other dynamics can be written."""
 
-import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -9,19 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxtissue.compilation.fusion import options
+from jaxtissue.compilation.batching import Batch
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.dynamics.independent_sets import independent_rounds, padded_orders
 from jaxtissue.dynamics.local_updates import Neighborhoods, Scene, TissueState
-from jaxtissue.dynamics.metropolis import Order, SweepInfo, move_bound, sweep
-from jaxtissue.dynamics.spans import survey_state
-from jaxtissue.dynamics.survey import MARGIN
-from jaxtissue.dynamics.sweep_log import Measured, shortlist_neighbors
+from jaxtissue.dynamics.metropolis import Order, SweepInfo, sweep
+from jaxtissue.dynamics.survey import Tissue, lines_of, survey_together
+from jaxtissue.dynamics.sweep_log import shortlist_neighbors
 from jaxtissue.energy import Model, check_adhesion, check_energy, check_parameters, in_precision
 from jaxtissue.geometry.positions import as_positions, check_count
-from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines
-from jaxtissue.neighbors.neighbor_list import list_neighbors
-from jaxtissue.neighbors.shortlists import from_both, mutual_entries, sight_lines
+from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution
 
 
 class SweepState(NamedTuple):
@@ -79,14 +74,12 @@ def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -
     check_adhesion(model.adhesion, n)
     check_energy(model)
     model = in_precision(model, place.dtype)
-    size = as_resolution(resolution)
-    lines = plan_lines(tube, n, size), sight_lines(tube, n, size)
-    sides = np.asarray(list_neighbors(place, tube, MARGIN * float(move_bound(model, n))).candidates)
-    tissue, clear, far = _surveying()(place, model, lines, sides)
-    measured = Measured(tissue, sides, from_both(np.asarray(clear), mutual_entries(sides)), np.asarray(far))
-    neighbors = shortlist_neighbors(sides, measured.urgency(), 0)
+    lines = lines_of(model, n, as_resolution(resolution))
+    (measured,) = survey_together([Tissue(place, model, lines)], Batch())
+    neighbors = shortlist_neighbors(measured.sides, measured.urgency(), 0)
     rounds = independent_rounds("near", place, model, measured.contacts)
     orders = padded_orders([rounds], 1, neighbors)
+    tissue = jax.tree.map(jnp.asarray, measured.tissue)
     return SweepState(tissue, neighbors, jax.tree.map(lambda leaf: leaf[0], orders), lines[0])
 
 
@@ -113,8 +106,3 @@ def step(
     scene = Scene(model, state.neighbors, state.lines)
     tissue, info = sweep(draws, state.tissue, scene, jnp.asarray(temperature, dtype), state.order)
     return state._replace(tissue=tissue), info
-
-
-@functools.cache
-def _surveying() -> Callable[..., tuple[TissueState, Array, Array]]:
-    return jax.jit(survey_state, compiler_options=options(light=True))

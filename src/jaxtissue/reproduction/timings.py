@@ -9,14 +9,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy import sparse
 
-from jaxtissue.compilation.batching import Asker, run_together
+from jaxtissue.compilation.batching import Batch
 from jaxtissue.diagram.spread import covering_radius, separation
-from jaxtissue.dynamics.annealer import SPAN, Annealer, AnnealState
+from jaxtissue.dynamics.annealer import Annealer, AnnealState
 from jaxtissue.dynamics.coloring import CONFLICTS, color, distance_conflicts, hop_conflicts
 from jaxtissue.dynamics.independent_sets import MEAN_MOVE, one_by_one
 from jaxtissue.dynamics.metropolis import draw, move_bound, propose
+from jaxtissue.dynamics.replays import SPAN
 from jaxtissue.dynamics.schedules import constant_schedule
-from jaxtissue.dynamics.survey import TissueSurvey
+from jaxtissue.dynamics.survey import Tissue, lines_of, survey_together
 from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.energy import Model, tube_model
 from jaxtissue.geometry.tube import Tube
@@ -174,8 +175,8 @@ def count_sets(positions: Float[np.ndarray, "n 2"], model: Model) -> dict[str, i
     pairs = find_contacts(place, tube).pairs
     ends = np.concatenate([pairs, pairs[:, ::-1]]).T
     contacts = sparse.coo_array((np.ones(ends.shape[1], np.int32), tuple(ends)), shape=(n, n)).tocsr()
-    surveyor = TissueSurvey(model, PRESETS["draft"], Asker())
-    measured = run_together([surveyor.measure(place, lambda _: ())])[0]
+    tissue = Tissue(place, model, lines_of(model, n, PRESETS["draft"]))
+    (measured,) = survey_together([tissue], Batch())
     apical = np.asarray(tube.embed(jnp.asarray(place)).apical)
     reach = 8 * float(covering_radius(jnp.asarray(place), tube))
     counts, along = {}, np.argsort(place[:, 0], kind="stable")

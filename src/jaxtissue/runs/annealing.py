@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from jaxtissue.dynamics.annealer import SPAN
+from jaxtissue.dynamics.replays import SPAN
 from jaxtissue.dynamics.schedules import has_stalled
 from jaxtissue.dynamics.sweep_log import AcceptanceWatch
 from jaxtissue.runs import storage
