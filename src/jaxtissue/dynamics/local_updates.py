@@ -86,9 +86,8 @@ class Round(NamedTuple):
 
 def gather_round(movers: Array, place: BackboneCoords, proposed: BackboneCoords, near: Neighborhoods) -> Round:
     """The data of a round's moves, gathered once."""
-    truth = movers[0] < len(near.around)
-    cells = fusion_barrier(lambda: take_rows(near.around, movers), truth)
-    posts_of = fusion_barrier(lambda: (pick(place, cells), pick(place, movers), pick(proposed, movers)), truth)
+    cells = fusion_barrier(lambda: take_rows(near.around, movers), movers)
+    posts_of = fusion_barrier(lambda: (pick(place, cells), pick(place, movers), pick(proposed, movers)), movers)
     return Round(movers, jnp.concatenate([cells, movers[:, None]], axis=1), *posts_of)
 
 
@@ -103,8 +102,7 @@ def find_changed(
     """
     lines = scene.lines
     tube, cells, own = scene.model.tube, moves.members[:, :-1], moves.around
-    reach, truth = take_rows(state.reach, cells.ravel()), moves.movers[0] < len(state.volume)
-    spare = (0, lines.row - len(lines.number))
+    reach, spare = take_rows(state.reach, cells.ravel()), (0, lines.row - len(lines.number))
     grid = jax.tree.map(lambda table: jnp.pad(table[:, 0], spare), lines_in_frame(lines, reach.dtype))
 
     def against(place: BackboneCoords) -> tuple[RelativeCoords, Array, Array]:
@@ -116,7 +114,7 @@ def find_changed(
         rivals = RelativeCoords(apart / 2 - SLACK * tube.basal_radius, 0.5 / apart, versine, sine)
         return rivals, gap > 0, jnp.abs(gap) <= floor
 
-    now, then = (fusion_barrier(lambda at=at: against(at), truth) for at in (moves.before, moves.after))
+    now, then = (fusion_barrier(lambda at=at: against(at), moves.movers) for at in (moves.before, moves.after))
 
     def undercuts(rivals: RelativeCoords, is_ahead: Array) -> Array:
         meets = crossing(grid, jax.tree.map(lambda column: column.reshape(-1, 1), rivals), tube)
@@ -169,8 +167,8 @@ def pack(chosen: Bool[Array, "..."], early: Bool[Array, "..."], size: int) -> In
     """
     row = 64  # within which both counts fit into one number
     chosen, early = chosen.ravel(), early.ravel()
-    truth, spare = chosen[0] <= size, (0, -chosen.size % row)
-    kind = fusion_barrier(lambda: jnp.pad(jnp.where(chosen, jnp.where(early, 128.0, 1.0), 0.0), spare), truth)
+    spare = (0, -chosen.size % row)
+    kind = fusion_barrier(lambda: jnp.pad(jnp.where(chosen, jnp.where(early, 128.0, 1.0), 0.0), spare), chosen)
     kind = kind.reshape(-1, row)
     upto = jnp.matmul(kind, jnp.triu(jnp.ones((row, row), kind.dtype)), precision=jax.lax.Precision.HIGHEST)
     last = upto[:, -1].astype(jnp.int32)
@@ -184,7 +182,7 @@ def pack(chosen: Bool[Array, "..."], early: Bool[Array, "..."], size: int) -> In
         return jnp.where(kind > 0, rank, size)
 
     places = jnp.arange(kind.size, dtype=jnp.int32)
-    return jnp.zeros(size, jnp.int32).at[fusion_barrier(ranks, truth).ravel()].set(places, **SCATTER)
+    return jnp.zeros(size, jnp.int32).at[fusion_barrier(ranks, chosen).ravel()].set(places, **SCATTER)
 
 
 def measure_changes(

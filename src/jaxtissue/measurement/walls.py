@@ -40,9 +40,7 @@ class Walls(NamedTuple):
         return self.tangent.imag
 
 
-def bounding_neighbor(
-    grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube, truth: Array
-) -> Int[Array, "lines 2 cells"]:
+def bounding_neighbor(grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube) -> Int[Array, "lines 2 cells"]:
     """The candidate that stops each cell on each line, behind and ahead, or END for the tube.
 
     The candidate's number rides in the lowest bits of its reach, so that one value is carried along (two
@@ -69,14 +67,14 @@ def bounding_neighbor(
         chunks = -(-candidates // CHUNK)
         for part in np.array_split(np.arange(candidates), chunks):
             some = jax.tree.map(lambda table, at=slice(part[0], part[-1] + 1): table[at], rivals)
-            least = fusion_barrier(lambda least=least, some=some, at=part[0]: nearer(least, some, at), truth)
+            least = fusion_barrier(lambda least=least, some=some, at=part[0]: nearer(least, some, at), ends)
     else:
         tables = in_chunks(rivals)
         chunks, length = tables.half.shape[:2]
         first = length * jnp.arange(chunks, dtype=integer)
 
         def more(least: Array, some: tuple[RelativeCoords, Array]) -> tuple[Array, None]:
-            return fusion_barrier(lambda: nearer(least, *some), truth), None
+            return fusion_barrier(lambda: nearer(least, *some), ends), None
 
         least, _ = jax.lax.scan(more, least, (tables, first))
     winner = (recast(least, integer) & ((1 << bits) - 1)).astype(jnp.int32)
@@ -96,7 +94,7 @@ def in_chunks(rivals: RelativeCoords) -> RelativeCoords:
     return RelativeCoords(*padded)
 
 
-def least_reach(grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube, truth: Array) -> Array:
+def least_reach(grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube) -> Array:
     """The reach of each cell on each line, behind and ahead, [lines, 2, cells], as in its `walls`."""
     line = jax.tree.map(lambda table: table[:, None], grid)
 
@@ -108,13 +106,13 @@ def least_reach(grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube
                 nearest = smaller(crossing(line, rival, tube), nearest)
             return nearest
 
-        return fusion_barrier(compare, truth), None
+        return fusion_barrier(compare, ends), None
 
     start = jnp.broadcast_to(ends, (len(grid.z), *ends.shape))
     return jax.lax.scan(nearer, start, in_chunks(rivals))[0]
 
 
-def walls(by: Array, rivals: RelativeCoords, ends: Array, grid: LineFrame, tube: Tube, truth: Array) -> Walls:
+def walls(by: Array, rivals: RelativeCoords, ends: Array, grid: LineFrame, tube: Tube) -> Walls:
     """Reach, slope and tilt of the walls that end each cell, against the rival there.
 
     A rival's turn is one complex number, versine + i sine: gathering two real ones takes twice as long. Walls
@@ -123,7 +121,7 @@ def walls(by: Array, rivals: RelativeCoords, ends: Array, grid: LineFrame, tube:
     end, at = by == BOUNDARY, facing(by)
 
     def there(table: Array) -> Array:
-        return fusion_barrier(lambda: take_rows(table.ravel(), at), truth)
+        return fusion_barrier(lambda: take_rows(table.ravel(), at), ends)
 
     turn, half = there(jax.lax.complex(rivals.versine, rivals.sine)), there(rivals.half)
     line = jax.tree.map(lambda table: table[:, None], grid)
