@@ -15,6 +15,7 @@ ROOMS = [  # from the ground up: a room imports only what stands before it
     "geometry",
     "measurement",
     "diagram",
+    "meshes",
     "neighbors",
     "topology",
     "tissue",
