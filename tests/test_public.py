@@ -19,12 +19,12 @@ TUBE = jt.Tube(length=12, apical_radius=1, basal_radius=3)
 CELLS = 40
 STEP = jax.jit(jt.step)
 NAMES = """
-PRESETS Adhesion AnnealResult Annealer CellGeometry CellMeasurer Connectivity Contacts ExactDiagram Model NeighborList
-Resolution SweepRecord Tube anneal bound_ratios cartesian_voxels cells_for_unit_volume constant_schedule covering_radius
-cylindrical_voxels epithelial_energy exact_cells find_connectivity find_contacts find_transitions fit_neighbor_law
-geometric_schedule init label_image label_points label_volumes lateral_tension load_domain measure_tissue
-nearest_backbones polygon_classes separation step summarize_connectivity tabulate_connectivity tightness tissue_graph
-tube_model use_cores volume_elasticity
+PRESETS Adhesion AnnealResult Annealer CellGeometry CellMeasurer Connectivity Contacts ExactDiagram LabelCells Model
+NeighborList Resolution SweepRecord TissueFit Tube anneal bound_ratios cartesian_voxels cells_for_unit_volume
+constant_schedule covering_radius cylindrical_voxels epithelial_energy exact_cells find_connectivity find_contacts
+find_transitions fit_neighbor_law fit_tissue geometric_schedule init label_image label_points label_volumes
+lateral_tension load_domain measure_labels measure_tissue nearest_backbones polygon_classes separation step
+summarize_connectivity tabulate_connectivity tightness tissue_graph tube_model use_cores volume_elasticity
 """
 
 

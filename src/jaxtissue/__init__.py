@@ -26,6 +26,8 @@ from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
 from jaxtissue.geometry.domain_files import load_domain
 from jaxtissue.geometry.tube import Tube, cells_for_unit_volume
+from jaxtissue.images.label_cells import LabelCells, measure_labels
+from jaxtissue.images.tissue_fit import TissueFit, fit_tissue
 from jaxtissue.measurement.adhesion import Adhesion
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import PRESETS, Resolution
@@ -56,10 +58,12 @@ __all__ = [
     "Connectivity",
     "Contacts",
     "ExactDiagram",
+    "LabelCells",
     "Model",
     "NeighborList",
     "Resolution",
     "SweepRecord",
+    "TissueFit",
     "Tube",
     "anneal",
     "bound_ratios",
@@ -74,6 +78,7 @@ __all__ = [
     "find_contacts",
     "find_transitions",
     "fit_neighbor_law",
+    "fit_tissue",
     "geometric_schedule",
     "init",
     "label_image",
@@ -81,6 +86,7 @@ __all__ = [
     "label_volumes",
     "lateral_tension",
     "load_domain",
+    "measure_labels",
     "measure_tissue",
     "nearest_backbones",
     "polygon_classes",

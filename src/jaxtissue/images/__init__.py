@@ -1,0 +1,1 @@
+"""Images of labels: measured as they are, and fitted by tissues."""

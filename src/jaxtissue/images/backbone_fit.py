@@ -1,0 +1,150 @@
+"""The inverse problem: the backbones whose Voronoi walls run where an image shows walls."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy import sparse
+
+from jaxtissue.compilation.modes import usual_modes
+
+OUTLIER = 0.5  # voxels off the wall from which on a point counts less and less
+ROUNDS = 3  # in each, distances are divided by the slopes of the round before
+STEPS = 30  # of least squares in a round
+TOLERANCE = 1e-6  # relative, of a step or of the sum of squares, that ends a round
+
+
+class WallPoints(NamedTuple):
+    """Points on the walls between two cells, in the domain's coordinates, each by the area of its voxel face."""
+
+    points: Float[np.ndarray, "m 3"]
+    pairs: Int[np.ndarray, "m 2"]
+    areas: Float[np.ndarray, " m"]
+
+
+class _Feet(NamedTuple):
+    """The points of the backbones nearest to wall points, where on the backbone they are, and squared distances."""
+
+    place: Float[np.ndarray, "m 3"]
+    share: Float[np.ndarray, " m"]
+    square: Float[np.ndarray, " m"]
+
+
+def fit_backbones(
+    domain: Any,
+    start: Float[np.ndarray, "n k"],
+    walls: WallPoints,
+    step: float,
+    settle: Callable[[Float[np.ndarray, "n k"]], Float[np.ndarray, "n k"]],
+) -> Float[np.ndarray, "n k"]:
+    """The positions of backbones that have wall points as nearly as possible at equal distances.
+
+    The distance of a point p from the wall of the cells i and j is, to first order, (d_i(p)^2 - d_j(p)^2) / 2 |q_i -
+    q_j|, with the feet q on the two backbones. The sum of its squares over all points, each by its area, is made small
+    by sparse least squares, with less weight for outliers. Cells without walls stay where they start.
+
+    Args:
+        domain: What the backbones stand in; its `embed` places them in space.
+        start: First positions, [n, k].
+        walls: The points.
+        step: The side of a voxel; distances are in this unit.
+        settle: Brings positions back into the domain.
+
+    Returns:
+        The positions, [n, k].
+    """
+    from scipy.optimize import least_squares
+
+    cells, width = start.shape
+    scale = _scales(domain, start)
+    positions = start
+    root = np.sqrt(walls.areas / walls.areas.mean())
+    row = np.repeat(np.arange(len(root)), 2 * width)
+    column = (walls.pairs[:, :, None] * width + np.arange(width)).ravel()
+    for _ in range(ROUNDS):
+        feet = _find_feet(domain, positions, walls)
+        apart = 2 * np.linalg.norm(feet[0].place - feet[1].place, axis=1)
+        weight = root / step / np.maximum(apart, 1e-3 * step)
+
+        def miss(change: np.ndarray, begin=positions, weight=weight) -> np.ndarray:
+            first, second = _find_feet(domain, begin + change.reshape(cells, width) * scale, walls)
+            return (first.square - second.square) * weight
+
+        def slopes(change: np.ndarray, begin=positions, weight=weight) -> Any:
+            moved = begin + change.reshape(cells, width) * scale
+            feet = _find_feet(domain, moved, walls)
+            first, second = _embed_slopes(domain, moved)
+            values = np.stack([_slope(walls, feet[side], first, second, side) * scale for side in (0, 1)], axis=1)
+            values[:, 1] *= -1
+            return sparse.csr_array(((values * weight[:, None, None]).ravel(), (row, column)), (len(root), start.size))
+
+        jacobian: Any = slopes
+        found = least_squares(
+            miss, np.zeros(start.size), jacobian, loss="soft_l1", f_scale=OUTLIER, tr_solver="lsmr",
+            ftol=TOLERANCE, xtol=TOLERANCE, max_nfev=STEPS,
+        )  # fmt: skip
+        moved = settle(positions + found.x.reshape(cells, width) * scale)
+        change, positions = np.abs(moved - positions) / scale, moved
+        if change.max() < 1e-3 * step:
+            break
+    return positions
+
+
+def _scales(domain: Any, positions: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
+    """The change of each coordinate that moves a backbone by about one unit of length."""
+    first, second = _embed_slopes(domain, positions)
+    moved = np.linalg.norm((first + second) / 2, axis=1).mean(axis=0)
+    return 1 / moved
+
+
+def _find_feet(domain: Any, positions: Float[np.ndarray, "n k"], walls: WallPoints) -> tuple[_Feet, _Feet]:
+    """The feet of each wall point on the backbones of both cells."""
+    start, end = (np.asarray(ends, float) for ends in _embed(domain, jnp.asarray(positions, float)))
+    feet = []
+    for cell in walls.pairs.T:
+        along, offset = end[cell] - start[cell], walls.points - start[cell]
+        share = np.clip((offset * along).sum(axis=1) / (along**2).sum(axis=1), 0, 1)
+        away = offset - share[:, None] * along
+        feet.append(_Feet(walls.points - away, share, (away**2).sum(axis=1)))
+    return feet[0], feet[1]
+
+
+@usual_modes()
+@jax.jit
+def _embed(domain: Any, positions: Float[Array, "n k"]) -> Any:
+    """Both ends of each backbone, [n, 3]."""
+    backbones = domain.embed(positions)
+    return backbones.apical, backbones.basal
+
+
+@usual_modes()
+@jax.jit
+def _differentiate(domain: Any, positions: Float[Array, "n k"]) -> Any:
+    """The derivatives of both ends of each backbone by its position, [n, 3, k]."""
+    return jax.vmap(jax.jacfwd(lambda place: tuple(end[0] for end in _embed(domain, place[None]))))(positions)
+
+
+def _embed_slopes(
+    domain: Any, positions: Float[np.ndarray, "n k"]
+) -> tuple[Float[np.ndarray, "n 3 k"], Float[np.ndarray, "n 3 k"]]:
+    first, second = _differentiate(domain, jnp.asarray(positions, float))
+    return np.asarray(first, float), np.asarray(second, float)
+
+
+def _slope(
+    walls: WallPoints,
+    feet: _Feet,
+    first: Float[np.ndarray, "n 3 k"],
+    second: Float[np.ndarray, "n 3 k"],
+    side: int,
+) -> Float[np.ndarray, "m k"]:
+    """The derivatives of squared distances by the position of one of the two cells.
+
+    Where the foot lies does not count, as the distance is smallest there.
+    """
+    cell, share = walls.pairs[:, side], feet.share[:, None, None]
+    moved = (1 - share) * first[cell] + share * second[cell]
+    return -2 * np.einsum("mi,mik->mk", walls.points - feet.place, moved)

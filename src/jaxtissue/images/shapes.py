@@ -1,0 +1,77 @@
+"""What fitting and drawing need to know of each shape of domain.
+
+To fit a further shape is to add its row to `FITTERS`.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.images.frame import Frame
+from jaxtissue.images.outside import APICAL, BASAL
+from jaxtissue.images.tube_fit import fit_tube
+
+INSIDE = 3  # the mark of points of the tissue, beside APICAL and BASAL
+
+
+class Fitter(NamedTuple):
+    """What fitting needs to know of a shape.
+
+    Attributes:
+        kind: The class of its domains.
+        domain: The domain and its frame, from an image of labels and the sides of a voxel along x, y and z.
+        start: First positions, from the domain, the points of all cells in its frame, their cells and the number of
+            cells.
+        settle: Brings positions back into the domain.
+        enclose: Extends the domain to where backbones of cells at the border of the image stand, within reason; the
+            domain, its frame and the positions in it, from these.
+        locate: Marks points by where they are: `INSIDE` the tissue, on its `APICAL` or `BASAL` side, or 0, neither.
+    """
+
+    kind: type
+    domain: Callable[[Int[np.ndarray, "z y x"], Float[np.ndarray, "3"]], tuple[Any, Frame]]
+    start: Callable[[Any, Float[np.ndarray, "p 3"], Int[np.ndarray, " p"], int], Float[np.ndarray, "n k"]]
+    settle: Callable[[Any, Float[np.ndarray, "n k"]], Float[np.ndarray, "n k"]]
+    enclose: Callable[[Any, Frame, Float[np.ndarray, "n k"]], tuple[Any, Frame, Float[np.ndarray, "n k"]]]
+    locate: Callable[[Any, Float[np.ndarray, "p 3"]], Int[np.ndarray, " p"]]
+
+
+def _start_in_tube(
+    tube: Tube, points: Float[np.ndarray, "p 3"], cells: Int[np.ndarray, " p"], count: int
+) -> Float[np.ndarray, "n 2"]:
+    """The mean axial position and angle of each cell's points."""
+    axial = np.bincount(cells, points[:, 0], count) / np.bincount(cells, minlength=count)
+    angle = np.arctan2(points[:, 2], points[:, 1])
+    mean = np.arctan2(np.bincount(cells, np.sin(angle), count), np.bincount(cells, np.cos(angle), count))
+    return _settle_in_tube(tube, np.stack([axial, mean], axis=-1))
+
+
+def _settle_in_tube(tube: Tube, positions: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    axial, angle = positions.T
+    return np.stack([np.clip(axial, 0, float(tube.length)), np.mod(angle, 2 * math.pi)], axis=-1)
+
+
+def _enclose_by_tube(
+    tube: Tube, frame: Frame, positions: Float[np.ndarray, "n 2"]
+) -> tuple[Tube, Frame, Float[np.ndarray, "n 2"]]:
+    """The tube that goes on as far as the backbones do, by at most a mean cell width beyond each end."""
+    length = float(tube.length)
+    width = math.sqrt(float(tube.basal_area) / len(positions))
+    axial = np.clip(positions[:, 0], -width, length + width)
+    low, high = min(0.0, axial.min()), max(length, axial.max())
+    longer = Tube(high - low, tube.apical_radius, tube.basal_radius)
+    moved = Frame(frame.to_image(np.array([[low, 0.0, 0.0]]))[0], frame.axes)
+    return longer, moved, _settle_in_tube(longer, np.stack([axial - low, positions[:, 1]], axis=-1))
+
+
+def _locate_in_tube(tube: Tube, points: Float[np.ndarray, "p 3"]) -> Int[np.ndarray, " p"]:
+    radius = np.hypot(points[:, 1], points[:, 2])
+    marks = np.where(radius < tube.apical_radius, APICAL, np.where(radius > tube.basal_radius, BASAL, INSIDE))
+    return np.where((points[:, 0] >= 0) & (points[:, 0] <= tube.length), marks, 0)
+
+
+FITTERS = {"tube": Fitter(Tube, fit_tube, _start_in_tube, _settle_in_tube, _enclose_by_tube, _locate_in_tube)}
