@@ -53,12 +53,12 @@ def test_equal_weights_are_a_factor(positions, types):
 def test_local_differences_add_up(positions, types, x64):
     model = jt.tube_model(TUBE, CELLS, adhesion=jt.Adhesion(types, WEIGHTS))
     state, change = jt.init(positions, model), 0.0
-    before = float(jt.epithelial_energy(state.tissue, model).sum())
+    before = float(jt.epithelial_energy(state.cells, model).sum())
     for key in jax.random.split(jax.random.key(0), 4):
         state, info = STEP(key, state, model)
         change += float(info.energy_change)
     fresh = jt.init(state.positions, model)
-    after = float(jt.epithelial_energy(fresh.tissue, model).sum())
+    after = float(jt.epithelial_energy(fresh.cells, model).sum())
     assert after - before == pytest.approx(change, rel=1e-9)
 
 

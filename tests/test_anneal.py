@@ -198,8 +198,8 @@ def test_the_number_of_candidates_does_not_matter(x64, monkeypatch) -> None:
     everyone, usual, few = (sweep_with(count, monkeypatch, 1) for count in (CELLS, shortlists.CANDIDATES, 8))
     for other in (usual, few):
         np.testing.assert_array_equal(other[0].positions, everyone[0].positions)
-        np.testing.assert_allclose(other[1].volume, everyone[1].volume, rtol=1e-10)  # float64, other sums
-        np.testing.assert_allclose(other[1].lateral_area, everyone[1].lateral_area, rtol=1e-10)
+        np.testing.assert_allclose(other[1].sizes.volume, everyone[1].sizes.volume, rtol=1e-10)  # float64, other sums
+        np.testing.assert_allclose(other[1].sizes.lateral_area, everyone[1].sizes.lateral_area, rtol=1e-10)
 
 
 @pytest.mark.parametrize("conflicts", CONFLICTS)

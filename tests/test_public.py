@@ -118,16 +118,16 @@ def test_results_show_numbers_and_become_frames(result):
 def test_steps_fall_in_energy_and_keep_account(positions):
     model = jt.tube_model(TUBE, CELLS)
     state = jt.init(positions, model)
-    before = float(jt.epithelial_energy(state.tissue, model).sum())
+    before = float(jt.epithelial_energy(state.cells, model).sum())
     change = 0.0
     for key in jax.random.split(jax.random.key(0), 10):
         state, info = STEP(key, state, model, 2.0)
         change += float(info.energy_change)
         assert 0 < int(info.accepted) < CELLS and int(info.rounds) >= 1
-    after = float(jt.epithelial_energy(state.tissue, model).sum())
+    after = float(jt.epithelial_energy(state.cells, model).sum())
     assert after < before and after - before == pytest.approx(change, rel=1e-3)
     fresh = jt.init(state.positions, model)
-    np.testing.assert_allclose(fresh.tissue.volume, state.tissue.volume, atol=1e-3 * model.mean_volume)
+    np.testing.assert_allclose(fresh.cells.volume, state.cells.volume, atol=1e-3 * model.mean_volume)
 
 
 def test_steps_run_for_many_keys_at_once(positions):
@@ -135,7 +135,7 @@ def test_steps_run_for_many_keys_at_once(positions):
     state, keys = jt.init(positions, model), jax.random.split(jax.random.key(1), 2)
     together, _ = jax.jit(jax.vmap(jt.step, (0, None, None, None)))(keys, state, model, 2.0)
     alone, _ = STEP(keys[1], state, model, 2.0)
-    np.testing.assert_allclose(together.tissue.volume[1], alone.tissue.volume, rtol=2e-3, atol=1e-3)
+    np.testing.assert_allclose(together.cells.volume[1], alone.cells.volume, rtol=2e-3, atol=1e-3)
 
 
 def test_a_list_covers_what_it_was_made_for_and_says_when_it_does_not(positions):
@@ -180,12 +180,12 @@ def test_each_cell_has_its_own_target(x64):
     parameters = {"target": mean * rng.uniform(0.5, 1.5, n), "kind": rng.integers(0, 2, n)}
     model = jt.tube_model(TUBE, n, cell_energy=to_target, parameters=parameters)
     state, change = jt.init(positions, model), 0.0
-    before = float(to_target(state.tissue, model).sum())
+    before = float(to_target(state.cells, model).sum())
     for key in jax.random.split(jax.random.key(0), 5):
         state, info = STEP(key, state, model, 0.5)
         change += float(info.energy_change)
     fresh = jt.init(state.positions, model)
-    after = float(to_target(fresh.tissue, model).sum())
+    after = float(to_target(fresh.cells, model).sum())
     assert after - before == pytest.approx(change, rel=1e-9)
     result = jt.anneal(positions, TUBE, sweeps=15, temperature=0.1, model=model)
     energy = float(to_target(result.cells, model).sum())

@@ -96,13 +96,15 @@ class Model(eqx.Module):
         modulus: K, the weight of the volume term.
         tension: Lambda, the weight of the lateral area.
         cell_energy: A function `cell_energy(cells, model)` that gives the energy E_i of each cell, [cells]. It may be
-            any jittable function of `CellGeometry.volume` and `lateral_area` in which the energy of a cell depends on
-            the sizes of that cell alone.
+            any jittable function of `CellGeometry.volume` and `lateral_area` (of the sizes on the surfaces too, after
+            `with_surfaces`) in which the energy of a cell depends on the sizes of that cell alone.
         parameters: A pytree of arrays with the cells as first axis, [n, ...], or None. Where the function is called
             for a part of the cells, `model.parameters` holds the rows of that part.
         adhesion: How walls count by the types of the two cells that they part, or None. `lateral_area` is then the sum
             of the areas of a cell's walls, each times the weight of its pair of types. Weights above 1 between unlike
             types make these separate, as differential adhesion does.
+        has_surfaces: Whether `cell_energy` is given the areas and perimeters on the apical and basal surface too; see
+            `with_surfaces`.
     """
 
     tube: Tube
@@ -112,6 +114,22 @@ class Model(eqx.Module):
     cell_energy: CellEnergy = eqx.field(static=True, default=epithelial_energy)
     parameters: Any = None
     adhesion: Adhesion | None = None
+    has_surfaces: bool = eqx.field(static=True, default=False)
+
+    def with_surfaces(self) -> "Model":
+        """The same model for a `cell_energy` that reads areas and perimeters on the apical and basal surface.
+
+        They are measured in every move, which takes about half as long again; without them they are None.
+
+        Returns:
+            A model whose energy finds `apical_area`, `basal_area`, `apical_perimeter` and `basal_perimeter`.
+
+        >>> def contractile(cells, model):
+        ...     return epithelial_energy(cells, model) + 0.1 * cells.apical_perimeter**2
+        >>> tube_model(Tube(10, 1, 2), 30, cell_energy=contractile).with_surfaces().has_surfaces
+        True
+        """
+        return replace(self, has_surfaces=True)
 
     def of(self, cells: Int[Array | np.ndarray, "cells"]) -> "Model":
         """The model for a part of the cells, with the rows of the parameters that belong to them.
@@ -255,13 +273,19 @@ def check_energy(model: Model) -> None:
         model = in_precision(model, dtype)
         volume: Any = np.array([0.5, 1.001, 1.5, 2], dtype) * model.mean_volume
         area: Any = np.array([5, 6, 7, 8], dtype) * model.mean_volume ** dtype.type(2 / 3)
+    cells = CellGeometry(volume, area, *[area / 6, area / 5, area**0.5, 1.1 * area**0.5] * model.has_surfaces)
     try:
         rows = np.arange(4) % min(map(len, jax.tree.leaves(model.parameters)), default=4)
         energy, part = (
-            tissue_energies(CellGeometry(volume[:count], area[:count]), model.of(rows[:count])) for count in (4, 2)
+            tissue_energies(jax.tree.map(lambda size, count=count: size[:count], cells), model.of(rows[:count]))
+            for count in (4, 2)
         )
     except (TypeError, IndexError, KeyError, AttributeError) as error:
         reason = " ".join(str(error).split())
+        if "NoneType" in reason and not model.has_surfaces:
+            raise ValueError(
+                f"{_name(model)} fails ({reason}); if it reads sizes on the surfaces, use model.with_surfaces()"
+            ) from error
         raise ValueError(f"{_name(model)} fails ({reason}); give a function of each cell alone") from error
     require_finite(energy, model)
     if not np.allclose(energy[:2], part, rtol=1e-3, atol=1e-6 * float(np.abs(energy).max())):

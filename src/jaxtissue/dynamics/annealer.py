@@ -132,7 +132,7 @@ class Annealer:
     def measure(self, positions: Float[np.ndarray, "n 2"]) -> CellGeometry:
         """Volumes and lateral areas at positions [n, 2], with the resolution and adhesion of the annealing."""
         (measured,) = survey_together([self._tissue(positions)], Batch())
-        return CellGeometry(measured.tissue.volume, measured.tissue.lateral_area)
+        return measured.tissue.sizes
 
     def advance(self, state: AnnealState) -> Advance:
         """Play the sweeps up to the next rebuild of the neighbor lists, or up to the last of the schedule.
@@ -173,7 +173,8 @@ class Annealer:
             if self.algorithm == "mh" or self.conflicts in ("near", "2-hop"):  # rounds are few
                 blank: Any = np.zeros(n, dtype)
                 reach: Any = np.zeros((n, 2, tissue.lines[0].row), dtype)
-                cells = TissueState(BackboneCoords(blank, blank, blank, blank), blank, blank, reach, blank > 0)
+                sizes = CellGeometry(*(6 if self.model.has_surfaces else 2) * [blank])
+                cells = TissueState(BackboneCoords(blank, blank, blank, blank), sizes, reach, blank > 0)
                 few = np.zeros((n, 2, min(shortlist_length(n), sides.shape[2])), np.int32)
                 near = Neighborhoods(np.zeros((n, max(least_around(n), state.around)), np.int32), few)
                 rounds = np.zeros((n, 1) if self.algorithm == "mh" else (1, round_width(n)), np.int32)
@@ -181,13 +182,14 @@ class Annealer:
                 scene, draws = Scene(self.model, near, tissue.lines[0]), np.zeros((SPAN, 3, n), dtype)
                 batch.prepare(play, (draws, cells, scene, temperatures, orders))
             table: Any = np.zeros((SPAN, n), dtype)
-            batch.prepare(energy_terms, (CellGeometry(table, table), self.model), light=True)
+            sizes = CellGeometry(*(6 if self.model.has_surfaces else 2) * [table])
+            batch.prepare(energy_terms, (sizes, self.model), light=True)
         batch.prepare(survey_state, tissue.survey_call(sides), light=True)
 
     def _rows(self, span: Span, energies: Float[np.ndarray, "3 sweeps"], seconds: float) -> list[SweepRecord]:
         """A record of each sweep of a span, which took so many seconds each."""
         trail, rows = span.trail, []
-        sweeps, n = trail.volume.shape
+        sweeps, n = trail.sizes.volume.shape
         for k in range(sweeps):
             info = jax.tree.map(lambda leaf, k=k: leaf[k], trail.info)
             row = sweep_record(span.sweep - sweeps + 1 + k, energies[:, k], n, self.temperatures, info)
@@ -209,8 +211,8 @@ def advance_together(annealers: Sequence[Annealer], states: Sequence[AnnealState
     spans = [run._span(state, tissue) for run, state, tissue in zip(annealers, states, surveys, strict=True)]
     play_spans(spans, batch)
     seconds = (time.perf_counter() - begin - batch.compile_seconds) / len(annealers)
-    sizes = [np.stack([span.trail.volume, span.trail.lateral_area]) for span in spans]
-    energies = energies_together([run.model for run in annealers], sizes, batch)
+    models, sizes = [run.model for run in annealers], [span.trail.sizes for span in spans]
+    energies = energies_together(models, sizes, batch)
     advances = []
     for run, span, table in zip(annealers, spans, energies, strict=True):
         places = np.asarray(span.trail.positions)

@@ -48,8 +48,7 @@ class TissueState(NamedTuple):
     """Backbones and the sizes of their cells, with the reaches that a move must undercut to matter."""
 
     place: BackboneCoords
-    volume: Float[Array, "n"]
-    lateral_area: Float[Array, "n"]
+    sizes: CellGeometry  # those that the energy may read
     reach: Float[Array, "n 2 row"]  # in the middle window
     wide: Bool[Array, "n"]  # the cell goes on beyond it
 
@@ -61,17 +60,15 @@ class Changes(NamedTuple):
     move: Int[Array, "items"]
     cell: Int[Array, "items"]
     total: Int[Array, ""]
-    volume: Float[Array, "items"]
-    lateral_area: Float[Array, "items"]
+    sizes: CellGeometry
     reach: Float[Array, "items 2 row"]
     wide: Bool[Array, "items"]
 
 
 @usual_modes()
-def tissue_state(positions: Float[Array, "n 2"], seen: Survey) -> TissueState:
+def tissue_state(positions: Float[Array, "n 2"], seen: Survey, has_surfaces: bool) -> TissueState:
     """The state of a tissue that was measured."""
-    sizes = seen.sizes
-    return TissueState(backbone_coords(positions), sizes.volume, sizes.lateral_area, seen.reach, seen.wide)
+    return TissueState(backbone_coords(positions), seen.sizes.of_energy(has_surfaces), seen.reach, seen.wide)
 
 
 class Round(NamedTuple):
@@ -202,8 +199,8 @@ def measure_changes(
     item = pack(changed, take_rows(state.wide, moves.members), size)
     move, cell = item // changed.shape[1], take_rows(moves.members.ravel(), item)
     total = changed.sum(dtype=jnp.int32)
-    blank = jnp.zeros(size, state.volume.dtype)
-    start = Changes(item, move, cell, total, blank, blank, reach, blank > 0)
+    blank = jax.tree.map(lambda column: jnp.zeros(size, column.dtype), state.sizes)
+    start = Changes(item, move, cell, total, blank, reach, jnp.zeros(size, bool))
 
     def measure(items: Array, shift: Array, done: Changes) -> tuple[Changes, Array]:
         mover, which = take_rows(moves.movers, take_rows(move, items)), take_rows(cell, items)
@@ -217,8 +214,11 @@ def measure_changes(
         window = measure_window(moved(which), moved(rivals), rivals < which, model.tube, lines, shift, weights)
         at = jnp.where(shift == 0, items, size)
         done = done._replace(
-            volume=done.volume.at[items].add(window.sizes.volume, **SCATTER),
-            lateral_area=done.lateral_area.at[items].add(window.sizes.lateral_area, **SCATTER),
+            sizes=jax.tree.map(
+                lambda known, more: known.at[items].add(more, **SCATTER),
+                done.sizes,
+                window.sizes.of_energy(model.has_surfaces),
+            ),
             reach=done.reach.at[at].set(window.reaches(lines.row), **SCATTER),
             wide=done.wide.at[at].set(window.onward.any(axis=0), **SCATTER),
         )
@@ -231,9 +231,10 @@ def drop_unchanged(
     changes: Changes, touched: Bool[Array, "width around+1"], state: TissueState, model: Model
 ) -> Bool[Array, "items"]:
     """Which measured cells their move changes: the touched ones, and of the others those that differ."""
-    tiny = 1000 * jnp.finfo(state.volume.dtype).eps * model.mean_volume
-    differs = jnp.abs(changes.volume - take_rows(state.volume, changes.cell)) > tiny
-    differs |= jnp.abs(changes.lateral_area - take_rows(state.lateral_area, changes.cell)) > tiny
+    tiny = 1000 * jnp.finfo(changes.reach.dtype).eps * model.mean_volume
+    differs = jnp.zeros(len(changes.item), bool)
+    for new, old in zip(jax.tree.leaves(changes.sizes), jax.tree.leaves(state.sizes), strict=True):
+        differs |= jnp.abs(new - take_rows(old, changes.cell)) > tiny
     return (take_rows(touched.ravel(), changes.item) | differs) & (jnp.arange(len(changes.item)) < changes.total)
 
 
@@ -242,9 +243,8 @@ def local_differences(
 ) -> Float[Array, "width"]:
     """Energy difference of each move: the sum over the cells it changes."""
     model = model.of(changes.cell)
-    new = cell_energies(CellGeometry(changes.volume, changes.lateral_area), model)
-    before = (take_rows(size, changes.cell) for size in (state.volume, state.lateral_area))
-    old = cell_energies(CellGeometry(*before), model)
+    new = cell_energies(changes.sizes, model)
+    old = cell_energies(jax.tree.map(lambda size: take_rows(size, changes.cell), state.sizes), model)
     return jnp.zeros(width, new.dtype).at[changes.move].add(jnp.where(real, new - old, 0), **SCATTER)
 
 
@@ -256,12 +256,11 @@ def apply(
     state: TissueState,
 ) -> TissueState:
     """The state after the accepted moves, with the changes that belong to them."""
-    n = len(state.volume)
+    n = len(state.wide)
     cell = jnp.where(accepted, changes.cell, n)
     return TissueState(
         jax.tree.map(lambda old, new: old.at[movers].set(take_rows(new, movers), **SCATTER), state.place, proposed),
-        state.volume.at[cell].set(changes.volume, **SCATTER),
-        state.lateral_area.at[cell].set(changes.lateral_area, **SCATTER),
+        jax.tree.map(lambda old, new: old.at[cell].set(new, **SCATTER), state.sizes, changes.sizes),
         state.reach.at[cell].set(changes.reach, **SCATTER),
         state.wide.at[cell].set(changes.wide, **SCATTER),
     )

@@ -22,7 +22,6 @@ from jaxtissue.neighbors.shortlists import find_unlisted, list_first
 SPAN = 10  # the most sweeps between rebuilds of lists and rounds
 EXACT = 1000  # rounding errors of the mean volume that a cell may be off by before its lists are doubted
 Plan = Sequence[Int[np.ndarray, "rounds width"]]  # the rounds of some sweeps
-Sizes = Float[np.ndarray, "2 sweeps n"]
 
 
 class Segment(NamedTuple):
@@ -68,7 +67,7 @@ class Span:
     segments: list[Segment]
     trails: list[Trail] = field(default_factory=list)
     drift: float = 0.0
-    drifted: list[tuple[Sizes, Sizes]] = field(default_factory=list)  # sizes measured anew, and carried along
+    drifted: list[tuple[CellGeometry, CellGeometry]] = field(default_factory=list)  # measured anew, and carried along
     _unfinished: SweepInfo | None = None  # the counts of a sweep of which a part was played
 
     def __post_init__(self) -> None:
@@ -95,7 +94,7 @@ class Span:
 
     def accepts(self, near: Neighborhoods, trail: Trail, measured: Measured) -> bool:
         """Whether the lists lacked no neighbor; if they did, the next call plays it on others, or half of it."""
-        off = np.abs(measured.sizes[:, 0] - last_sizes(trail)[:, 0]).max(axis=0)
+        off = largest_difference(measured.sizes, last_sizes(trail))[0]
         cells = np.flatnonzero(off > self._exactness)
         lacking = find_unlisted(cells, measured.clear, measured.sides, np.asarray(near.sides))
         if not len(lacking):
@@ -118,7 +117,7 @@ class Span:
             self.trails.append(trail)
             self.sweep += len(segment.plan)
         carried = last_sizes(trail)
-        if np.abs(measured.sizes - carried).max() > self._exactness / 100:  # else it is but a rounding error
+        if largest_difference(measured.sizes, carried).max() > self._exactness / 100:  # else it is but a rounding error
             self.drifted.append((measured.sizes, carried))
         self.around = near.around.shape[1]
         self.tissue = self.tissue._replace(positions=trail.positions[-1])
@@ -159,21 +158,27 @@ def play_spans(spans: Sequence[Span], batch: Batch) -> None:
         span.drift = max(span.drift, abs(first - second) / max(abs(first), abs(second), 1e-300))
 
 
-def last_sizes(trail: Trail) -> Float[np.ndarray, "2 1 n"]:
-    """Volumes and lateral areas after the last sweep, as carried along by local updates."""
-    return np.stack([trail.volume[-1:], trail.lateral_area[-1:]])
+def last_sizes(trail: Trail) -> CellGeometry:
+    """The sizes of the cells after the last sweep, [1, n], as carried along by local updates."""
+    return jax.tree.map(lambda column: column[-1:], trail.sizes)
+
+
+def largest_difference(first: CellGeometry, second: CellGeometry) -> Float[np.ndarray, "sweeps n"]:
+    """The largest difference of any size of each cell."""
+    pairs = zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
+    return np.max([np.abs(one - other) for one, other in pairs], axis=0)
 
 
 def energies_together(
-    models: Sequence[Model], sizes: Sequence[Sizes], batch: Batch
+    models: Sequence[Model], sizes: Sequence[CellGeometry], batch: Batch
 ) -> list[Float[np.ndarray, "3 sweeps"]]:
     """Energy and the paper's two terms of it after each sweep, of each replica, summed in double precision."""
     calls = []
     for model, table in zip(models, sizes, strict=True):
-        padded = np.pad(table, ((0, 0), (0, SPAN - table.shape[1]), (0, 0)), mode="edge")  # one program for all
-        calls.append((CellGeometry(*padded), model))
+        spare = ((0, SPAN - len(table.volume)), (0, 0))  # one program for all
+        calls.append((jax.tree.map(lambda column, spare=spare: np.pad(column, spare, mode="edge"), table), model))
     sums = []
     for model, table, terms in zip(models, sizes, batch.run(energy_terms, calls, light=True), strict=True):
         require_finite(terms[0], model)
-        sums.append(np.array([np.sum(term[: table.shape[1]], axis=1, dtype=float) for term in terms]))
+        sums.append(np.array([np.sum(term[: len(table.volume)], axis=1, dtype=float) for term in terms]))
     return sums

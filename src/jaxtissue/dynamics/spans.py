@@ -20,8 +20,7 @@ from jaxtissue.neighbors.shortlists import distances, survey_tissue
 class Trail(NamedTuple):
     """The sizes, backbones and counts after each sweep of a span, [sweeps, ...]."""
 
-    volume: Float[Array | np.ndarray, "sweeps n"]
-    lateral_area: Float[Array | np.ndarray, "sweeps n"]
+    sizes: CellGeometry
     positions: Float[Array | np.ndarray, "sweeps n 2"]
     info: SweepInfo
 
@@ -34,7 +33,7 @@ def survey_state(
 ) -> tuple[TissueState, Float[Array, "n 2 candidates"], Float[Array, "n 2 candidates"]]:
     """The state of a whole tissue, the clearance of each candidate, as in `survey_tissue`, and its distance."""
     seen, clear = survey_tissue(positions, model.tube, lines, sides, model.adhesion)
-    return tissue_state(positions, seen), clear, distances(positions, model.tube, sides)
+    return tissue_state(positions, seen, model.has_surfaces), clear, distances(positions, model.tube, sides)
 
 
 def play(
@@ -53,7 +52,7 @@ def play(
         drawn, temperature, order = this
         state, info = sweep(drawn, state, scene, temperature, order)
         positions = jnp.stack([state.place.axial, state.place.angle], axis=-1)
-        return state, Trail(state.volume, state.lateral_area, positions, info)
+        return state, Trail(state.sizes, positions, info)
 
     return jax.lax.scan(one, state, (draws, temperatures, orders))
 

@@ -16,6 +16,7 @@ from jaxtissue.dynamics.survey import Tissue, lines_of, survey_together
 from jaxtissue.dynamics.sweep_log import shortlist_neighbors
 from jaxtissue.energy import Model, check_adhesion, check_energy, check_parameters, in_precision
 from jaxtissue.geometry.positions import as_positions, check_count
+from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution
 
 
@@ -38,6 +39,11 @@ class SweepState(NamedTuple):
     def positions(self) -> Float[Array, "n 2"]:
         """(axial, angle) of each backbone, [n, 2]."""
         return jnp.stack([self.tissue.place.axial, self.tissue.place.angle], axis=-1)
+
+    @property
+    def cells(self) -> CellGeometry:
+        """The sizes of the cells that the energy reads."""
+        return self.tissue.sizes
 
 
 @usual_modes()
@@ -64,7 +70,7 @@ def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -
     >>> tube = Tube(length=12, apical_radius=1, basal_radius=3)
     >>> model = tube_model(tube, 40)
     >>> state = init(tube.random_positions(jax.random.key(0), 40), model)
-    >>> state.positions.shape, bool(abs(state.tissue.volume.sum() / tube.volume - 1) < 0.01)
+    >>> state.positions.shape, bool(abs(state.cells.volume.sum() / tube.volume - 1) < 0.01)
     ((40, 2), True)
     """
     tube, place = model.tube, np.asarray(as_positions(positions, model.tube))
@@ -101,7 +107,7 @@ def step(
         The state after the sweep, and its counts: moves accepted, moves put off because they would change a cell that
         an earlier move of their set changes, rounds played, the sum of accepted energy differences.
     """
-    shape, dtype = state.tissue.volume.shape, state.tissue.volume.dtype
+    shape, dtype = state.tissue.wide.shape, state.tissue.reach.dtype
     draws = jax.random.uniform(key, (3, *shape), dtype)
     scene = Scene(model, state.neighbors, state.lines)
     tissue, info = sweep(draws, state.tissue, scene, jnp.asarray(temperature, dtype), state.order)

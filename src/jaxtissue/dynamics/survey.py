@@ -37,7 +37,8 @@ class Tissue(NamedTuple):
 
 def lines_of(model: Model, cells: int, resolution: Resolution) -> tuple[Lines, Lines]:
     """The lines of a `Tissue` of so many cells."""
-    return plan_lines(model.tube, cells, resolution), sight_lines(model.tube, cells, resolution)
+    lines = plan_lines(model.tube, cells, resolution, surfaces=model.has_surfaces)
+    return lines, sight_lines(model.tube, cells, resolution)
 
 
 def survey_together(

@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import sparse
 
 from jaxtissue.dynamics.local_updates import Neighborhoods, TissueState
 from jaxtissue.dynamics.metropolis import SweepInfo
+from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.neighbors.search import contact_graph, pad_lists
 from jaxtissue.neighbors.shortlists import CANDIDATES, TOUCHES, around, nearest_sides, shortlist_length
 
@@ -34,9 +36,9 @@ class Measured(NamedTuple):
         return self.clear * self.far
 
     @property
-    def sizes(self) -> Float[np.ndarray, "2 1 n"]:
-        """Volumes and lateral areas of the cells."""
-        return np.stack([self.tissue.volume, self.tissue.lateral_area])[:, None]
+    def sizes(self) -> CellGeometry:
+        """The sizes of the cells as after one sweep, [1, n]."""
+        return jax.tree.map(lambda column: np.asarray(column)[None], self.tissue.sizes)
 
 
 class SweepRecord(NamedTuple):

@@ -44,6 +44,11 @@ class CellGeometry(eqx.Module):
     lateral_area_error: Float[Array, "cells"] | None = None
     tiling_defect: Float[Array, ""] | None = None
 
+    def of_energy(self, has_surfaces: bool) -> "CellGeometry":
+        """The sizes that an energy may read: volumes and lateral areas, and those on the surfaces or None for them."""
+        surfaces = (self.apical_area, self.basal_area, self.apical_perimeter, self.basal_perimeter)
+        return CellGeometry(self.volume, self.lateral_area, *surfaces * has_surfaces)
+
     def to_pandas(self) -> Any:
         """The sizes as a pandas `DataFrame`, with one row for each cell.
 
