@@ -16,7 +16,7 @@ from jaxtissue.compilation.fusion import take_rows
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.positions import X64
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.adhesion import Adhesion
+from jaxtissue.measurement.adhesion import Adhesion, check_adhesion
 from jaxtissue.measurement.cell_geometry import CellGeometry
 
 CONSTANTS = ("mean_volume", "modulus", "tension")
@@ -222,23 +222,6 @@ def in_precision(model: Model, dtype: DTypeLike) -> Model:
     converted = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), constants)
     cells = jax.tree.map(convert, (model.parameters, model.adhesion))
     return replace(converted, parameters=cells[0], adhesion=cells[1])
-
-
-def check_adhesion(adhesion: Adhesion | None, cells: int) -> None:
-    """Raise `ValueError` for types that are not one whole number for each cell, or weights that are no weights."""
-    if adhesion is None or isinstance(adhesion.types, Tracer) or isinstance(adhesion.weights, Tracer):
-        return
-    types, weights = np.asarray(adhesion.types), np.asarray(adhesion.weights)
-    if types.shape != (cells,) or types.dtype.kind not in "iu":
-        raise ValueError(
-            f"types are {types.dtype} of shape {types.shape}; give a whole number for each of {cells} cells"
-        )
-    if weights.ndim != 2 or weights.shape[0] != weights.shape[1] or not np.isfinite(weights).all():
-        raise ValueError(f"weights of shape {weights.shape}; give one finite number for each pair of types, [k, k]")
-    if not np.array_equal(weights, weights.T):
-        raise ValueError("weights are not symmetric; give the wall between two types one weight")
-    if not (types.min(initial=0) >= 0 and types.max(initial=0) < len(weights)):
-        raise ValueError(f"types go from {types.min()} to {types.max()}, and weights have {len(weights)} rows")
 
 
 def cell_energies(cells: CellGeometry, model: Model) -> Float[Array, "cells"]:

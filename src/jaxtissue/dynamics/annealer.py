@@ -19,8 +19,9 @@ from jaxtissue.dynamics.replays import SPAN, Segment, Span, energies_together, p
 from jaxtissue.dynamics.spans import energy_terms, play, survey_state
 from jaxtissue.dynamics.survey import Tissue, lines_of, survey_together
 from jaxtissue.dynamics.sweep_log import Measured, SweepRecord, least_around, sweep_record
-from jaxtissue.energy import Model, check_adhesion, check_energy, check_parameters, in_precision
+from jaxtissue.energy import Model, check_energy, check_parameters, in_precision
 from jaxtissue.geometry.positions import as_positions, check_count
+from jaxtissue.measurement.adhesion import check_adhesion
 from jaxtissue.measurement.axial_lines import BackboneCoords
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution

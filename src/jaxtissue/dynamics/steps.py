@@ -14,8 +14,9 @@ from jaxtissue.dynamics.local_updates import Neighborhoods, Scene, TissueState
 from jaxtissue.dynamics.metropolis import Order, SweepInfo, sweep
 from jaxtissue.dynamics.survey import Tissue, lines_of, survey_together
 from jaxtissue.dynamics.sweep_log import shortlist_neighbors
-from jaxtissue.energy import Model, check_adhesion, check_energy, check_parameters, in_precision
+from jaxtissue.energy import Model, check_energy, check_parameters, in_precision
 from jaxtissue.geometry.positions import as_positions, check_count
+from jaxtissue.measurement.adhesion import check_adhesion
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution
 

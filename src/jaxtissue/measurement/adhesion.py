@@ -5,6 +5,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from jaxtissue.compilation.fusion import take_rows
@@ -35,3 +36,20 @@ class Adhesion(eqx.Module):
         count = self.weights.shape[0]
         pair = take_rows(types, cells) * count + take_rows(types, others)
         return take_rows(jnp.asarray(self.weights).ravel(), pair)
+
+
+def check_adhesion(adhesion: Adhesion | None, cells: int) -> None:
+    """Raise `ValueError` for types that are not one whole number for each cell, or weights that are no weights."""
+    if adhesion is None or isinstance(adhesion.types, Tracer) or isinstance(adhesion.weights, Tracer):
+        return
+    types, weights = np.asarray(adhesion.types), np.asarray(adhesion.weights)
+    if types.shape != (cells,) or types.dtype.kind not in "iu":
+        raise ValueError(
+            f"types are {types.dtype} of shape {types.shape}; give a whole number for each of {cells} cells"
+        )
+    if weights.ndim != 2 or weights.shape[0] != weights.shape[1] or not np.isfinite(weights).all():
+        raise ValueError(f"weights of shape {weights.shape}; give one finite number for each pair of types, [k, k]")
+    if not np.array_equal(weights, weights.T):
+        raise ValueError("weights are not symmetric; give the wall between two types one weight")
+    if not (types.min(initial=0) >= 0 and types.max(initial=0) < len(weights)):
+        raise ValueError(f"types go from {types.min()} to {types.max()}, and weights have {len(weights)} rows")
