@@ -18,6 +18,7 @@ ROOMS = [  # from the ground up: a room imports only what stands before it
     "meshes",
     "neighbors",
     "topology",
+    "exports",
     "tissue",
     "images",
     "energy",

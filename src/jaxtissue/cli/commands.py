@@ -37,6 +37,7 @@ from jaxtissue.runs.reports import (
     tabulate_cells,
     write_contacts,
 )
+from jaxtissue.runs.run_folders import save_tissue
 from jaxtissue.runs.settings import Settings, provenance, versions
 from jaxtissue.system.files import check_folder, make_folder, write_json
 from jaxtissue.system.locks import alone
@@ -44,7 +45,7 @@ from jaxtissue.system.streams import open_streams
 from jaxtissue.topology.statistics import find_connectivity
 
 CONFIG: Any = jax.config  # its settings are not declared
-EXTRAS = ("pandas",)
+EXTRAS = ("pandas", "pyarrow", "tifffile", "trimesh", "pyvista", "anndata")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -57,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             parser.print_help()
             return 0
         work = {"anneal": anneal, "grid": grid, "measure": measure, "compare": compare}
-        work |= {"reproduce": reproduce_paper, "info": info}
+        work |= {"reproduce": reproduce_paper, "export": export, "info": info}
         warnings.formatwarning = lambda message, *_, **__: f"jaxtissue: warning: {message}\n"
         if CONFIG.jax_enable_x64 and not arguments.get("resume"):
             arguments["x64"] = True  # as JAX_ENABLE_X64 says; a run that is resumed keeps its own
@@ -162,6 +163,7 @@ def measure(arguments: dict[str, Any]) -> int:
     )
     summary["seconds"] = time.perf_counter() - begun
     make_folder(folder, CONTACT_TABLES)
+    save_tissue(folder, tube, backbones)
     storage.write_table(folder / "cells.csv", columns)
     if connectivity is not None:
         write_contacts(folder, connectivity, columns if arguments["graph"] else None)
@@ -205,6 +207,20 @@ def reproduce_paper(arguments: dict[str, Any]) -> int:
     for item in items:
         print(f"{item:8}{manifest['items'][item]['seconds']:10.1f} s")
     print(f"written to {arguments['out'] / 'report.md'}")
+    return 0
+
+
+def export(arguments: dict[str, Any]) -> int:
+    """Write the tissue of a run in the formats of other programs."""
+    from jaxtissue.runs.exporting import export_tissue
+    from jaxtissue.runs.run_folders import read_tissue
+
+    folder = arguments["out"]
+    check_folder(folder, arguments["force"])
+    tissue = read_tissue(arguments["run"], arguments["unit"])
+    spacing = arguments["spacing"] and tuple(arguments["spacing"])
+    for path in export_tissue(tissue, folder, arguments["to"], spacing):
+        print(path)
     return 0
 
 

@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 from jaxtissue.geometry.tube import TUBE_SIZES
 from jaxtissue.measurement.quadrature import as_resolution
+from jaxtissue.runs.formats import FORMATS, UNITS
 from jaxtissue.runs.settings import Settings
 
 DEGREES = "angles of the table are degrees, not radians"
@@ -22,6 +23,7 @@ _HELP = {
     "measure": "measure the cells of given backbones",
     "compare": "show the errors of each preset against the exact path",
     "reproduce": "make the paper's table and figures, and a report that sets its numbers beside ours",
+    "export": "write a run's tissue in the formats of other programs",
     "info": "show versions, devices, precision and the optional packages found",
 }
 
@@ -53,6 +55,7 @@ def command_parser() -> argparse.ArgumentParser:
     _add_grid(options["grid"])
     _add_measure(options["measure"])
     _add_reproduce(options["reproduce"])
+    _add_export(options["export"])
     options["compare"].add_argument(
         "--samples", type=_count(2, 10_000), default=50, metavar="S", help="points per backbone (default: 50)"
     )
@@ -149,6 +152,16 @@ def _add_measure(command: argparse.ArgumentParser) -> None:
         command.add_argument(_option(name), type=size, default=default, metavar=metavar, help=text)
     _add_contacts(command, Settings.minimum_contact, Settings.no_contacts)
     command.add_argument("--graph", action="store_true", help="write the contact graph too, as graph.graphml")
+
+
+def _add_export(command: argparse.ArgumentParser) -> None:
+    command.add_argument("run", type=Path, metavar="RUN", help="folder that anneal, measure or fit wrote")
+    command.add_argument("--to", nargs="+", required=True, choices=FORMATS, metavar="FORMAT",
+                         help=f"one or more of {', '.join(FORMATS)}")  # fmt: skip
+    command.add_argument("--spacing", nargs=3, type=_number(0, above=True), metavar=("Z", "Y", "X"), help="sides of a "
+                         "voxel of ome-tiff (default: a tenth of a mean cell's)")  # fmt: skip
+    command.add_argument("--unit", choices=UNITS, default="", help="unit of the run's lengths, written into the files")
+    _add_folder(command, required=True)
 
 
 def _add_contacts(command: Any, minimum: Any, without: Any) -> None:

@@ -1,5 +1,6 @@
 """The diagram by search: the backbones nearest to a point, and the volumes of the cells from them."""
 
+from collections.abc import Sequence
 from functools import partial
 
 import jax
@@ -86,7 +87,9 @@ def label_volumes(
 
 
 @usual_modes()
-def label_image(positions: Float[ArrayLike, "n 2"], tube: Tube, spacing: float) -> UInt16[np.ndarray, "z y x"]:
+def label_image(
+    positions: Float[ArrayLike, "n 2"], tube: Tube, spacing: float | Sequence[float]
+) -> UInt16[np.ndarray, "z y x"]:
     """Draw the tissue as an image of cell labels, in the order (z, y, x): 0 outside, cell index + 1 inside.
 
     Voxels are laid out as in `image_mask`; each has the label of the cell that holds its center, the cell of the
@@ -95,7 +98,7 @@ def label_image(positions: Float[ArrayLike, "n 2"], tube: Tube, spacing: float) 
     Args:
         positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
         tube: The tube that the backbones stand in.
-        spacing: The side of a voxel, in the unit of the tube's lengths.
+        spacing: The side of a cubic voxel, or its three sides (z, y, x), in the unit of the tube's lengths.
 
     Returns:
         The image, [z, y, x], of 16-bit numbers.

@@ -1,6 +1,7 @@
 """Samples of the diagram: voxels of the tissue and their volumes."""
 
 import math
+from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -45,15 +46,17 @@ def cylindrical_voxels(
 
 
 @usual_modes()
-def cartesian_voxels(tube: Tube, spacing: float) -> tuple[Float[Array, "voxels 3"], Float[Array, "voxels"]]:
-    """The centers and volumes, spacing^3, of the cubic voxels whose centers lie in the tissue.
+def cartesian_voxels(
+    tube: Tube, spacing: float | Sequence[float]
+) -> tuple[Float[Array, "voxels 3"], Float[Array, "voxels"]]:
+    """The centers and volumes of the voxels whose centers lie in the tissue.
 
     They are the `True` voxels of `image_mask(tube, spacing)`, in its order (x fastest). The sum of the volumes differs
     from `tube.volume`, as voxels do not follow the surfaces.
 
     Args:
         tube: The tube; its sizes must be known, not traced.
-        spacing: The side of a voxel, in the unit of the tube's lengths.
+        spacing: The side of a cubic voxel, or its three sides (z, y, x), in the unit of the tube's lengths.
 
     Returns:
         Cartesian centers, [voxels, 3], and the volumes, [voxels].
@@ -67,15 +70,16 @@ def cartesian_voxels(tube: Tube, spacing: float) -> tuple[Float[Array, "voxels 3
     """
     mask = image_mask(tube, spacing)
     dtype = jnp.result_type(tube.length, tube.apical_radius, tube.basal_radius, 0.0)
-    z, y, x = (jnp.asarray(c, dtype) for c in (np.argwhere(mask) + _corner(mask)).T * spacing)
-    return jnp.stack([x, y, z], axis=-1), jnp.full(x.shape, spacing**3, dtype)
+    sides = np.broadcast_to(np.asarray(spacing, float), 3)
+    z, y, x = (jnp.asarray(c, dtype) for c in ((np.argwhere(mask) + _corner(mask)) * sides).T)
+    return jnp.stack([x, y, z], axis=-1), jnp.full(x.shape, sides.prod(), dtype)
 
 
-def image_mask(tube: Tube, spacing: float) -> Bool[np.ndarray, "z y x"]:
+def image_mask(tube: Tube, spacing: float | Sequence[float]) -> Bool[np.ndarray, "z y x"]:
     """Mark the voxels of the smallest image round the tube that have their centers in the tissue; order (z, y, x).
 
     Voxel (k, j, i) is centered at x = (i + 1/2) spacing, y = (j + 1/2 - ny/2) spacing and likewise z: the image begins
-    at the tube's end x = 0 and is centered on the axis.
+    at the tube's end x = 0 and is centered on the axis. The spacing is one number or three, in the order (z, y, x).
 
     Raises:
         ValueError: If the spacing is not positive, or so wide that no center lies in the tissue.
@@ -86,12 +90,15 @@ def image_mask(tube: Tube, spacing: float) -> Bool[np.ndarray, "z y x"]:
            [1, 1, 1, 1],
            [0, 1, 1, 0]])
     """
-    if not (math.isfinite(spacing) and spacing > 0):
-        raise ValueError(f"spacing={spacing} is not a positive finite number; give the width of a voxel")
-    across, along = 2 * math.ceil(tube.basal_radius / spacing), math.ceil(tube.length / spacing)
-    offset = (np.arange(across) + 0.5 - across / 2) * spacing
-    radius = np.hypot(offset[:, None, None], offset[None, :, None])
-    axial = (np.arange(along) + 0.5) * spacing
+    sides = np.asarray(spacing, float)
+    if sides.shape not in ((), (3,)) or not (np.isfinite(sides).all() and (sides > 0).all()):
+        numbers = "not a positive finite number" if sides.ndim == 0 else "not three positive finite numbers"
+        raise ValueError(f"spacing={spacing} is {numbers}; give the width of a voxel")
+    dz, dy, dx = np.broadcast_to(sides, 3).tolist()
+    deep, high = (2 * math.ceil(tube.basal_radius / side) for side in (dz, dy))
+    across = [(np.arange(count) + 0.5 - count / 2) * side for count, side in ((deep, dz), (high, dy))]
+    radius = np.hypot(across[0][:, None, None], across[1][None, :, None])
+    axial = (np.arange(math.ceil(tube.length / dx)) + 0.5) * dx
     mask = (radius >= tube.apical_radius) & (radius <= tube.basal_radius) & (axial <= tube.length)
     if not mask.any():
         raise ValueError(f"spacing={spacing} leaves no voxel center in the tissue; give a smaller one")

@@ -104,10 +104,10 @@ def write_contacts(folder: Path, connectivity: Connectivity, columns: Mapping[st
     storage.write_table(folder / "transitions.csv", points | dict(cells))
     if columns is not None:
         with replacing(folder / "graph.graphml", "wb") as file:
-            nx.write_graphml(tissue_graph(connectivity, _printable(columns)), file)
+            nx.write_graphml(tissue_graph(connectivity, printable_columns(columns)), file)
 
 
-def _printable(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def printable_columns(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The columns with such names of cells as XML takes."""
     names = [printable(name) for name in columns["name"]] if "name" in columns else None
     return dict(columns) | ({"name": np.array(names)} if names else {})

@@ -1,0 +1,1 @@
+"""Tissues as files that others open: images, meshes, tables and graphs."""

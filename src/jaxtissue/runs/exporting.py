@@ -1,0 +1,66 @@
+"""Exports of a run, one format after the other, each whole or not at all."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+from jaxtissue.exports.images import write_ome_tiff
+from jaxtissue.exports.solids import write_glb, write_solids
+from jaxtissue.exports.tables import tables, write_anndata, write_graphml, write_parquet
+from jaxtissue.exports.tissue_record import TissueRecord
+from jaxtissue.exports.vtk_files import write_series, write_vtk
+from jaxtissue.runs import storage
+from jaxtissue.runs.reports import printable_columns
+from jaxtissue.system.files import make_folder
+
+Writer = Callable[[TissueRecord, Path], list[Path]]
+Spacing = tuple[float, float, float]
+
+
+def _write_csv(tissue: TissueRecord, folder: Path) -> list[Path]:
+    for name, columns in tables(tissue).items():
+        storage.write_table(folder / f"{name}.csv", columns)
+    return [folder / f"{name}.csv" for name in tables(tissue)]
+
+
+def _write_graph(tissue: TissueRecord, folder: Path) -> list[Path]:
+    return write_graphml(tissue, folder, printable_columns(tissue.columns))
+
+
+WRITERS: dict[str, Writer] = {
+    "ome-tiff": partial(write_ome_tiff, spacing=None),
+    "vtu": write_vtk,
+    "pvd": write_series,
+    "ply": partial(write_solids, kind="ply"),
+    "stl": partial(write_solids, kind="stl"),
+    "glb": write_glb,
+    "graphml": _write_graph,
+    "csv": _write_csv,
+    "parquet": write_parquet,
+    "anndata": write_anndata,
+}
+
+
+def export_tissue(
+    tissue: TissueRecord, folder: Path, formats: Sequence[str], spacing: Spacing | None = None
+) -> list[Path]:
+    """Write a tissue in some of the formats into a folder, and return what was written.
+
+    Raises:
+        ValueError: If a format needs a package that is not installed, more memory, or what the tissue has not.
+    """
+    make_folder(folder)
+    written: list[Path] = []
+    for name in dict.fromkeys(formats):
+        write = partial(write_ome_tiff, spacing=spacing) if name == "ome-tiff" else WRITERS[name]
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".export.", suffix=".part") as temporary:
+            for part in write(tissue, Path(temporary)):
+                target = folder / part.name
+                if target.is_dir():
+                    shutil.rmtree(target)
+                os.replace(part, target)
+                written.append(target)
+    return written

@@ -1,0 +1,51 @@
+"""The tissue in the folder of a run, whichever command wrote it."""
+
+from pathlib import Path
+
+import numpy as np
+
+from jaxtissue.exports.tissue_record import TissueRecord
+from jaxtissue.geometry.domain_files import load_domain, save_domain
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.runs import storage
+from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
+from jaxtissue.runs.settings import Settings
+from jaxtissue.system.files import read_sealed
+
+DOMAIN, BACKBONES, MANIFEST, CHECKPOINT = "domain.json", "backbones.csv", "manifest.json", "checkpoint.npz"
+
+
+def save_tissue(folder: Path, tube: Tube, backbones: BackboneTable) -> None:
+    """Write the domain and the backbones of a tissue, as `read_tissue` finds them."""
+    save_domain(tube, folder / DOMAIN)
+    storage.write_backbones(folder / BACKBONES, *backbones)
+
+
+def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) -> TissueRecord:
+    """The tissue that `anneal`, `measure` or `fit` left in a folder, with the sweeps that a run kept.
+
+    Raises:
+        ValueError: If the folder holds no such tissue, or a run that has not ended; the message says what to do.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is no folder; give one that anneal or measure wrote")
+    history: dict[int, np.ndarray] = {}
+    if (folder / MANIFEST).is_file():
+        manifest = read_sealed(folder / MANIFEST, "write it anew with --resume --finish")
+        if not (folder / BACKBONES).is_file():
+            raise ValueError(f"the run in {folder} has not ended; go on with: jaxtissue anneal --out {folder} --resume")
+        tube = Settings(**manifest["arguments"]).tube
+        if (folder / CHECKPOINT).is_file():
+            kept = storage.load_checkpoint(folder / CHECKPOINT)
+            history = dict(zip(kept.kept_sweeps.tolist(), kept.kept_positions.astype(float), strict=True))
+    elif (folder / DOMAIN).is_file() and (folder / BACKBONES).is_file():
+        tube = load_domain(folder / DOMAIN)
+    else:
+        raise ValueError(
+            f"{folder} holds no {BACKBONES} with {DOMAIN} or {MANIFEST}; give a folder of anneal or measure"
+        )
+    positions, names = read_backbones(folder / BACKBONES, tube)
+    if history and (last := manifest["final"]["sweep"]) not in history:
+        history[last] = positions
+    options = {} if tolerance is None else {"tolerance": tolerance}
+    return TissueRecord(positions, tube, names, unit, history, **options)
