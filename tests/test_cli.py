@@ -343,7 +343,7 @@ def test_small_contacts_are_left_out_and_old_tables_removed(annealed, tmp_path):
     assert column(read_table(folder / "cells.csv"), "neighbors").sum() == 2 * len(kept)
     assert (folder / "transitions.csv").read_bytes() == (annealed / "transitions.csv").read_bytes()
     assert main([*run, "--no-contacts", "--force"]) == 0
-    assert {path.name for path in folder.iterdir()} == {"cells.csv", "summary.json"}
+    assert {path.name for path in folder.iterdir()} == {*("backbones.csv", "domain.json", "cells.csv", "summary.json")}
     assert ",".join(read_table(folder / "cells.csv")[0]) == SIZE_COLUMNS
     assert list(json.loads((folder / "summary.json").read_text())) == SIZES_SUMMED
 

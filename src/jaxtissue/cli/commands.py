@@ -9,13 +9,14 @@ import sys
 import time
 import warnings
 from collections.abc import Sequence
-from importlib.util import find_spec
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxtissue.cli.information import info
 from jaxtissue.cli.options import command_parser
 from jaxtissue.compilation import program_cache
 from jaxtissue.compilation.batching import keep_compiled
@@ -38,14 +39,13 @@ from jaxtissue.runs.reports import (
     write_contacts,
 )
 from jaxtissue.runs.run_folders import save_tissue
-from jaxtissue.runs.settings import Settings, provenance, versions
+from jaxtissue.runs.settings import Settings, provenance
 from jaxtissue.system.files import check_folder, make_folder, write_json
 from jaxtissue.system.locks import alone
 from jaxtissue.system.streams import open_streams
 from jaxtissue.topology.statistics import find_connectivity
 
 CONFIG: Any = jax.config  # its settings are not declared
-EXTRAS = ("pandas", "pyarrow", "tifffile", "trimesh", "pyvista", "anndata")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -58,7 +58,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             parser.print_help()
             return 0
         work = {"anneal": anneal, "grid": grid, "measure": measure, "compare": compare}
-        work |= {"reproduce": reproduce_paper, "export": export, "info": info}
+        work |= {"reproduce": reproduce_paper, "info": info}
+        work |= {name: partial(with_tissue, name) for name in ("export", "view")}
         warnings.formatwarning = lambda message, *_, **__: f"jaxtissue: warning: {message}\n"
         if CONFIG.jax_enable_x64 and not arguments.get("resume"):
             arguments["x64"] = True  # as JAX_ENABLE_X64 says; a run that is resumed keeps its own
@@ -210,29 +211,11 @@ def reproduce_paper(arguments: dict[str, Any]) -> int:
     return 0
 
 
-def export(arguments: dict[str, Any]) -> int:
-    """Write the tissue of a run in the formats of other programs."""
-    from jaxtissue.runs.exporting import export_tissue
-    from jaxtissue.runs.run_folders import read_tissue
+def with_tissue(command: str, arguments: dict[str, Any]) -> int:
+    """Export the tissue of a run, or draw it."""
+    from jaxtissue.cli.tissue_commands import COMMANDS
 
-    folder = arguments["out"]
-    check_folder(folder, arguments["force"])
-    tissue = read_tissue(arguments["run"], arguments["unit"])
-    spacing = arguments["spacing"] and tuple(arguments["spacing"])
-    for path in export_tissue(tissue, folder, arguments["to"], spacing):
-        print(path)
-    return 0
-
-
-def info(arguments: dict[str, Any]) -> int:
-    """Show versions, devices, precision and the optional packages found."""
-    _use_x64(arguments["x64"])
-    for name, version in versions().items():
-        print(f"{name:12}{version}")
-    print(f"{'devices':12}{', '.join(map(str, jax.devices()))}")
-    print(f"{'x64':12}{'on' if jnp.result_type(float) == jnp.float64 else 'off'}")
-    print(f"{'extras':12}{', '.join(name for name in EXTRAS if find_spec(name)) or 'none'}")
-    return 0
+    return COMMANDS[command](arguments)
 
 
 def _print_summary(summary: dict[str, Any]) -> None:

@@ -35,17 +35,17 @@ def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) ->
         if not (folder / BACKBONES).is_file():
             raise ValueError(f"the run in {folder} has not ended; go on with: jaxtissue anneal --out {folder} --resume")
         tube = Settings(**manifest["arguments"]).tube
+        positions, names = read_backbones(folder / BACKBONES, tube)
         if (folder / CHECKPOINT).is_file():
             kept = storage.load_checkpoint(folder / CHECKPOINT)
             history = dict(zip(kept.kept_sweeps.tolist(), kept.kept_positions.astype(float), strict=True))
+            history.setdefault(manifest["final"]["sweep"], positions)
     elif (folder / DOMAIN).is_file() and (folder / BACKBONES).is_file():
         tube = load_domain(folder / DOMAIN)
+        positions, names = read_backbones(folder / BACKBONES, tube)
     else:
         raise ValueError(
             f"{folder} holds no {BACKBONES} with {DOMAIN} or {MANIFEST}; give a folder of anneal or measure"
         )
-    positions, names = read_backbones(folder / BACKBONES, tube)
-    if history and (last := manifest["final"]["sweep"]) not in history:
-        history[last] = positions
     options = {} if tolerance is None else {"tolerance": tolerance}
     return TissueRecord(positions, tube, names, unit, history, **options)
