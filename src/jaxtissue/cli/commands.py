@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtissue.cli.information import info
+from jaxtissue.cli.inputs import given_domain, need_relative, read_tissue, refuse_both
 from jaxtissue.cli.options import command_parser
 from jaxtissue.compilation import program_cache
 from jaxtissue.compilation.batching import keep_compiled
@@ -24,11 +25,9 @@ from jaxtissue.compilation.devices import use_cores
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.dynamics.metropolis import warn_of_coarse_places
 from jaxtissue.energy import tube_model
-from jaxtissue.geometry.domain_files import load_domain
-from jaxtissue.geometry.tube import TUBE_SIZES, Tube
+from jaxtissue.geometry.tube import TUBE_SIZES
 from jaxtissue.runs import storage
 from jaxtissue.runs.annealing import resume_annealing, run_annealing
-from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
 from jaxtissue.runs.distributed import Part, join, slurm_part
 from jaxtissue.runs.grids import AXES, Grid
 from jaxtissue.runs.reports import (
@@ -57,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments["command"] is None:
             parser.print_help()
             return 0
-        work = {"anneal": anneal, "grid": grid, "measure": measure, "compare": compare}
+        work = {"anneal": anneal, "grid": grid, "measure": measure, "compare": compare, "fit": fit}
         work |= {"reproduce": reproduce_paper, "info": info}
         work |= {name: partial(with_tissue, name) for name in ("export", "view")}
         warnings.formatwarning = lambda message, *_, **__: f"jaxtissue: warning: {message}\n"
@@ -73,6 +72,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 128 + signal.SIGPIPE  # without a word, as other commands of a pipe
     except ValueError as error:
         return _fail(error, 2)
+    except ImportError as error:
+        return _fail(error, 1)
     except OSError as error:
         return _fail(error, 1)
     except (RuntimeError, AssertionError):
@@ -90,14 +91,14 @@ def anneal(arguments: dict[str, Any]) -> int:
     """Anneal a tissue into a folder, or take up a run there."""
     use_cores(1)
     folder, force, resume, finish = (arguments.pop(name) for name in ("out", "force", "resume", "finish"))
-    if domain := _given_domain(arguments):
+    if domain := given_domain(arguments):
         arguments |= {name: getattr(domain, name) for name in TUBE_SIZES}
     if resume:
         return resume_annealing(folder, arguments, finish)
     if finish:
         raise ValueError("--finish is for a run that was stopped; add --resume")
-    _refuse_both(arguments, "minimum_contact")
-    _need_relative(arguments, arguments)
+    refuse_both(arguments, "minimum_contact")
+    need_relative(arguments, arguments)
     settings = Settings(**arguments)
     if settings.final_temperature is not None and not settings.temperature > 0:
         raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
@@ -112,9 +113,9 @@ def grid(arguments: dict[str, Any]) -> int:
     folder, force, batch = (arguments.pop(name) for name in ("out", "force", "batch"))
     places = [arguments.pop(name) for name in ("part", "slurm", "distributed", "coordinator", "process")]
     _use_x64(arguments["x64"])
-    _refuse_both(arguments, "minimum_contact")
+    refuse_both(arguments, "minimum_contact")
     axes = {name: arguments.pop(name) for name in AXES if name in arguments}
-    _need_relative(arguments, axes)
+    need_relative(arguments, axes)
     runs = Grid(axes, arguments)
     if runs.shared.get("final_temperature") and min(axes.get("temperature", [1.0])) == 0:
         raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
@@ -146,9 +147,10 @@ def _find_part(
 def measure(arguments: dict[str, Any]) -> int:
     """Measure the cells of given backbones, and trace their contacts."""
     folder = arguments["out"]
-    _refuse_both(arguments, "minimum_contact", "graph")
+    refuse_both(arguments, "minimum_contact", "graph")
     check_folder(folder, arguments["force"])
-    tube, backbones = _read(arguments)
+    _use_x64(arguments["x64"])
+    tube, backbones = read_tissue(arguments)
     place, connectivity, tracing = backbones.positions, None, 0.0
     if not arguments["no_contacts"]:
         _say(f"tracing the contacts of {len(place)} cells")
@@ -174,12 +176,31 @@ def measure(arguments: dict[str, Any]) -> int:
     return 0
 
 
+def fit(arguments: dict[str, Any]) -> int:
+    """Fit a tissue to a segmented image, into files that `measure` and `anneal` take."""
+    from jaxtissue.runs.fit_runs import run_fit
+
+    folder = arguments["out"]
+    check_folder(folder, arguments["force"])
+    _use_x64(arguments["x64"])
+    _say(f"fitting a {arguments['shape']} to {arguments['file']}")
+    report = run_fit(arguments["file"], arguments["spacing"], arguments["shape"], folder)
+    for name, value in report.items():
+        print(f"{name:28}{value:.6g}")
+    print(f"written to {folder}; go on with:")
+    print(
+        f"  jaxtissue measure {folder / 'backbones.csv'} --domain {folder / 'domain.json'} --out {folder / 'measured'}"
+    )
+    return 0
+
+
 def compare(arguments: dict[str, Any]) -> int:
     """Show the errors of each preset against the exact path."""
     folder, samples = arguments["out"], arguments["samples"]
     if folder:
         check_folder(folder, arguments["force"])
-    tube, backbones = _read(arguments)
+    _use_x64(arguments["x64"])
+    tube, backbones = read_tissue(arguments)
     errors, exact_seconds = compare_presets(backbones.positions, tube, samples)
     if folder:
         make_folder(folder)
@@ -228,47 +249,6 @@ def _print_summary(summary: dict[str, Any]) -> None:
             print(f"\n{'':28}{'all':>12}{'inner':>12}")
         beside = f"{value:12.6g}{inner[name]:12.6g}" if name in inner else f"{value:.6g}"
         print(f"{name:28}{beside}")
-
-
-def _need_relative(arguments: dict[str, Any], given: dict[str, Any]) -> None:
-    """Raise `ValueError` for --relative with defaults that have units."""
-    for name in ("tension", "temperature"):
-        if arguments.get("relative") and name not in given:
-            raise ValueError(f"--relative needs --{name} without units; see --help for the paper's")
-
-
-def _refuse_both(arguments: dict[str, Any], *names: str) -> None:
-    """Raise `ValueError` for an option that asks for contacts beside --no-contacts."""
-    for name in names:
-        if arguments.get("no_contacts") and arguments.get(name):
-            option = "--" + name.replace("_", "-")
-            raise ValueError(f"{option} needs contacts; leave it or --no-contacts out")
-
-
-def _read(arguments: dict[str, Any]) -> tuple[Tube, BackboneTable]:
-    _use_x64(arguments["x64"])
-    tube = _given_domain(arguments) or Tube(*_tube_sizes(arguments))
-    return tube, read_backbones(arguments["file"], tube, arguments["degrees"])
-
-
-def _given_domain(arguments: dict[str, Any]) -> Tube | None:
-    """The domain of --domain, which is taken out of the arguments. Raises `ValueError` for sizes beside it."""
-    path = arguments.pop("domain", None)
-    if path is None:
-        return None
-    for name in TUBE_SIZES:
-        if name in arguments:
-            option = "--" + name.replace("_", "-")
-            raise ValueError(f"{option} is a size of the domain in {path}; leave it or --domain out")
-    return load_domain(path)
-
-
-def _tube_sizes(arguments: dict[str, Any]) -> list[float]:
-    """The sizes of the tube. Raises `ValueError` where one is not given."""
-    missing = ["--" + name.replace("_", "-") for name in TUBE_SIZES if name not in arguments]
-    if missing:
-        raise ValueError(f"{', '.join(missing)} not given; give all sizes of the tube, or its file by --domain")
-    return [arguments[name] for name in TUBE_SIZES]
 
 
 def _use_x64(x64: bool) -> None:

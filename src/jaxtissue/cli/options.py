@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from jaxtissue.geometry.tube import TUBE_SIZES
+from jaxtissue.images.shapes import FITTERS
 from jaxtissue.measurement.quadrature import as_resolution
 from jaxtissue.runs.formats import FORMATS, UNITS
 from jaxtissue.runs.settings import Settings
@@ -21,6 +22,7 @@ _HELP = {
     "anneal": "anneal a tissue into a folder, or take up a run there",
     "grid": "anneal a grid of tissues into one table, or what is missing of it",
     "measure": "measure the cells of given backbones",
+    "fit": "fit a tissue to a segmented image",
     "compare": "show the errors of each preset against the exact path",
     "reproduce": "make the paper's table and figures, and a report that sets its numbers beside ours",
     "export": "write a run's tissue in the formats of other programs",
@@ -54,6 +56,7 @@ def command_parser() -> argparse.ArgumentParser:
         _add_folder(command, required=name == "measure")
     _add_grid(options["grid"])
     _add_measure(options["measure"])
+    _add_fit(options["fit"])
     _add_reproduce(options["reproduce"])
     _add_export(options["export"])
     options["compare"].add_argument(
@@ -161,6 +164,15 @@ def _add_export(command: argparse.ArgumentParser) -> None:
     command.add_argument("--spacing", nargs=3, type=_number(0, above=True), metavar=("Z", "Y", "X"), help="sides of a "
                          "voxel of ome-tiff (default: a tenth of a mean cell's)")  # fmt: skip
     command.add_argument("--unit", choices=UNITS, default="", help="unit of the run's lengths, written into the files")
+    _add_folder(command, required=True)
+
+
+def _add_fit(command: argparse.ArgumentParser) -> None:
+    command.add_argument("file", type=Path, metavar="LABELS", help="image of labels, 0 outside: .tif, .tiff or .npy, "
+                         "in the order z, y, x")  # fmt: skip
+    command.add_argument("--spacing", type=_number(0, above=True), nargs=3, metavar=("Z", "Y", "X"), help=
+                         "sides of a voxel (default: those that the file tells)")  # fmt: skip
+    command.add_argument("--shape", choices=tuple(FITTERS), default="tube", help="of the tissue (default: tube)")
     _add_folder(command, required=True)
 
 

@@ -1,0 +1,48 @@
+"""What the commands are given: checks of options that go together, and the tissue of files and sizes."""
+
+from typing import Any
+
+from jaxtissue.geometry.domain_files import load_domain
+from jaxtissue.geometry.tube import TUBE_SIZES, Tube
+from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
+
+
+def need_relative(arguments: dict[str, Any], given: dict[str, Any]) -> None:
+    """Raise `ValueError` for --relative with defaults that have units."""
+    for name in ("tension", "temperature"):
+        if arguments.get("relative") and name not in given:
+            raise ValueError(f"--relative needs --{name} without units; see --help for the paper's")
+
+
+def refuse_both(arguments: dict[str, Any], *names: str) -> None:
+    """Raise `ValueError` for an option that asks for contacts beside --no-contacts."""
+    for name in names:
+        if arguments.get("no_contacts") and arguments.get(name):
+            option = "--" + name.replace("_", "-")
+            raise ValueError(f"{option} needs contacts; leave it or --no-contacts out")
+
+
+def read_tissue(arguments: dict[str, Any]) -> tuple[Tube, BackboneTable]:
+    """The tube and the backbones that a command is given."""
+    tube = given_domain(arguments) or Tube(*_tube_sizes(arguments))
+    return tube, read_backbones(arguments["file"], tube, arguments["degrees"])
+
+
+def given_domain(arguments: dict[str, Any]) -> Tube | None:
+    """The domain of --domain, which is taken out of the arguments. Raises `ValueError` for sizes beside it."""
+    path = arguments.pop("domain", None)
+    if path is None:
+        return None
+    for name in TUBE_SIZES:
+        if name in arguments:
+            option = "--" + name.replace("_", "-")
+            raise ValueError(f"{option} is a size of the domain in {path}; leave it or --domain out")
+    return load_domain(path)
+
+
+def _tube_sizes(arguments: dict[str, Any]) -> list[float]:
+    """The sizes of the tube. Raises `ValueError` where one is not given."""
+    missing = ["--" + name.replace("_", "-") for name in TUBE_SIZES if name not in arguments]
+    if missing:
+        raise ValueError(f"{', '.join(missing)} not given; give all sizes of the tube, or its file by --domain")
+    return [arguments[name] for name in TUBE_SIZES]

@@ -1,0 +1,45 @@
+"""A tissue fitted to an image, as files that the other commands go on from."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxtissue.geometry.domain_files import save_domain
+from jaxtissue.images.image_files import read_image
+from jaxtissue.images.tissue_fit import TissueFit, fit_tissue
+from jaxtissue.runs import storage
+from jaxtissue.runs.settings import provenance
+from jaxtissue.system.files import make_folder, write_json
+
+FILES = ("domain.json", "backbones.csv", "frame.json", "cells.csv", "fit.json")
+
+
+def run_fit(path: Path, spacing: Any, shape: str, folder: Path) -> dict[str, Any]:
+    """Fit a tissue to the image in a file, write it into a folder, and return the report.
+
+    Raises `ValueError` and `ImportError` as `read_image` and `fit_tissue` do; nothing is written then.
+    """
+    read = read_image(path, spacing)
+    begun = time.perf_counter()
+    try:
+        fit = fit_tissue(read.image, read.spacing, shape)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    columns = fit.columns()
+    report = fit.report | {"seconds": time.perf_counter() - begun}
+    make_folder(folder, FILES)
+    save_domain(fit.domain, folder / "domain.json")
+    storage.write_backbones(folder / "backbones.csv", fit.positions, [str(label) for label in fit.labels])
+    write_json(folder / "frame.json", _frame(fit, read.unit))
+    storage.write_table(folder / "cells.csv", columns)
+    about = {"image": str(path), "shape": shape, "spacing": read.spacing, "unit": read.unit}
+    write_json(folder / "fit.json", report | about | {"voxels": read.image.shape} | provenance())
+    return report
+
+
+def _frame(fit: TissueFit, unit: str | None) -> dict[str, Any]:
+    """Where the domain lies in the image: the voxel (k, j, i) is centered at (i, j, k) times its sides."""
+    axes = np.asarray(fit.frame.axes)
+    return {"origin": fit.frame.origin.tolist(), "axes": axes.tolist(), "order": "x, y, z", "unit": unit}
