@@ -2,6 +2,7 @@
 
 import csv
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -100,6 +101,6 @@ def test_bad_images_get_one_line(tmp_path, image, name, capsys):
 
 def test_tifffile_is_named_where_it_is_missing(tmp_path, image, monkeypatch, capsys):
     tifffile.imwrite(tmp_path / "a.tif", image)
-    monkeypatch.setitem(__import__("sys").modules, "tifffile", None)
-    assert main(["fit", str(tmp_path / "a.tif"), "--out", str(tmp_path / "out")]) == 1
+    monkeypatch.setitem(sys.modules, "tifffile", None)
+    assert main(["fit", str(tmp_path / "a.tif"), "--out", str(tmp_path / "out")]) == 2
     assert "pip install 'jaxtissue[io]'" in capsys.readouterr().err

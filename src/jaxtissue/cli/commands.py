@@ -72,8 +72,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 128 + signal.SIGPIPE  # without a word, as other commands of a pipe
     except ValueError as error:
         return _fail(error, 2)
-    except ImportError as error:
-        return _fail(error, 1)
     except OSError as error:
         return _fail(error, 1)
     except (RuntimeError, AssertionError):

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxtissue.images.label_images import as_labels, as_spacing
+from jaxtissue.system.extras import optional
 
 NAMES = (".tif", ".tiff", ".npy")
 NO_SPACING = "has no size of its voxels; give --spacing Z Y X, the sides of a voxel along z, y and x"
@@ -29,16 +30,15 @@ def read_image(path: Path, spacing: Any = None) -> ImageFile:
         spacing: The sides of a voxel along z, y and x; if None, those that the file tells, as OME-TIFF and ImageJ do.
 
     Raises:
-        ValueError: If the file can't be read, is of another kind, holds no volume of labels, or if no spacing is known.
-        ImportError: If tifffile, which reads TIFF, is not installed.
+        ValueError: If the file can't be read, is of another kind, holds no volume of labels, if no spacing is known, or
+            if tifffile, which reads TIFF, is not installed.
     """
     ending = path.suffix.lower()
     if ending not in NAMES:
         raise ValueError(f"{path} is no image that can be read; give one of {', '.join(NAMES)}")
+    tifffile: Any = optional("tifffile", "io", "reading TIFF") if ending != ".npy" else None
     try:
-        image, told, unit = _read_tiff(path) if ending != ".npy" else (np.load(path, allow_pickle=False), None, None)
-    except ImportError:
-        raise
+        image, told, unit = _read_tiff(tifffile, path) if tifffile else (np.load(path, allow_pickle=False), None, None)
     except OSError as error:
         raise ValueError(f"{path} can't be read ({error.strerror or error}); give an image of labels") from error
     except Exception as error:  # a damaged file raises one or another
@@ -55,13 +55,8 @@ def read_image(path: Path, spacing: Any = None) -> ImageFile:
     return ImageFile(labels, (z, y, x), unit if spacing is None else None)
 
 
-def _read_tiff(path: Path) -> tuple[np.ndarray, tuple[float, ...] | None, str | None]:
+def _read_tiff(tifffile: Any, path: Path) -> tuple[np.ndarray, tuple[float, ...] | None, str | None]:
     """The first series of a TIFF without its axes of length 1, and what it tells of its voxels."""
-    try:
-        import tifffile
-    except ImportError as error:
-        raise ImportError("tifffile is needed to read TIFF; pip install 'jaxtissue[io]'") from error
-
     with tifffile.TiffFile(path) as file:
         series = file.series[0]
         image, axes = series.asarray(), series.axes

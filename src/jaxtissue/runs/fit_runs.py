@@ -6,20 +6,21 @@ from typing import Any
 
 import numpy as np
 
-from jaxtissue.geometry.domain_files import save_domain
 from jaxtissue.images.image_files import read_image
 from jaxtissue.images.tissue_fit import TissueFit, fit_tissue
 from jaxtissue.runs import storage
+from jaxtissue.runs.backbone_files import BackboneTable
+from jaxtissue.runs.run_folders import BACKBONES, DOMAIN, save_tissue
 from jaxtissue.runs.settings import provenance
 from jaxtissue.system.files import make_folder, write_json
 
-FILES = ("domain.json", "backbones.csv", "frame.json", "cells.csv", "fit.json")
+FILES = (DOMAIN, BACKBONES, "frame.json", "cells.csv", "fit.json")
 
 
 def run_fit(path: Path, spacing: Any, shape: str, folder: Path) -> dict[str, Any]:
     """Fit a tissue to the image in a file, write it into a folder, and return the report.
 
-    Raises `ValueError` and `ImportError` as `read_image` and `fit_tissue` do; nothing is written then.
+    Raises `ValueError` as `read_image` and `fit_tissue` do; nothing is written then.
     """
     read = read_image(path, spacing)
     begun = time.perf_counter()
@@ -30,8 +31,7 @@ def run_fit(path: Path, spacing: Any, shape: str, folder: Path) -> dict[str, Any
     columns = fit.columns()
     report = fit.report | {"seconds": time.perf_counter() - begun}
     make_folder(folder, FILES)
-    save_domain(fit.domain, folder / "domain.json")
-    storage.write_backbones(folder / "backbones.csv", fit.positions, [str(label) for label in fit.labels])
+    save_tissue(folder, fit.domain, BackboneTable(fit.positions, tuple(map(str, fit.labels.tolist()))))
     write_json(folder / "frame.json", _frame(fit, read.unit))
     storage.write_table(folder / "cells.csv", columns)
     about = {"image": str(path), "shape": shape, "spacing": read.spacing, "unit": read.unit}
