@@ -19,6 +19,7 @@ ROOMS = [  # from the ground up: a room imports only what stands before it
     "neighbors",
     "topology",
     "exports",
+    "pictures",
     "tissue",
     "images",
     "energy",

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from jaxtissue.geometry.tube import TUBE_SIZES
 from jaxtissue.images.shapes import FITTERS
 from jaxtissue.measurement.quadrature import as_resolution
-from jaxtissue.runs.formats import FORMATS, UNITS
+from jaxtissue.runs.formats import FORMATS, UNITS, VIEWED
 from jaxtissue.runs.settings import Settings
 
 DEGREES = "angles of the table are degrees, not radians"
@@ -26,6 +26,7 @@ _HELP = {
     "compare": "show the errors of each preset against the exact path",
     "reproduce": "make the paper's table and figures, and a report that sets its numbers beside ours",
     "export": "write a run's tissue in the formats of other programs",
+    "view": "draw a run's tissue in three dimensions",
     "info": "show versions, devices, precision and the optional packages found",
 }
 
@@ -59,6 +60,7 @@ def command_parser() -> argparse.ArgumentParser:
     _add_fit(options["fit"])
     _add_reproduce(options["reproduce"])
     _add_export(options["export"])
+    _add_view(options["view"])
     options["compare"].add_argument(
         "--samples", type=_count(2, 10_000), default=50, metavar="S", help="points per backbone (default: 50)"
     )
@@ -174,6 +176,15 @@ def _add_fit(command: argparse.ArgumentParser) -> None:
                          "sides of a voxel (default: those that the file tells)")  # fmt: skip
     command.add_argument("--shape", choices=tuple(FITTERS), default="tube", help="of the tissue (default: tube)")
     _add_folder(command, required=True)
+
+
+def _add_view(command: argparse.ArgumentParser) -> None:
+    command.add_argument("run", type=Path, metavar="RUN", help="folder that anneal, measure or fit wrote")
+    command.add_argument("--what", choices=VIEWED, default="tissue", metavar="WHAT",
+                         help=f"one of {', '.join(VIEWED)} (default: tissue)")  # fmt: skip
+    command.add_argument("--cell", type=_count(0), metavar="N", help="the cell of cell, scutoid or internal")
+    command.add_argument("--unit", choices=UNITS, default="", help="unit of the run's lengths, for the scale bar")
+    command.add_argument("--out", type=Path, metavar="FILE", help="picture to write (default: WHAT.png in RUN)")
 
 
 def _add_contacts(command: Any, minimum: Any, without: Any) -> None:

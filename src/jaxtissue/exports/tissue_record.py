@@ -68,6 +68,8 @@ class TissueRecord:
             columns |= {"volume": self.meshes.volumes()}
         columns |= {"is_end": self.connectivity.is_end} | tabulate_connectivity(self.connectivity)
         columns |= tabulate_shapes(self.meshes, basal - apical) | tabulate_walls(self.connectivity.contacts)
+        if sizes is not None:
+            columns["surface_ratio"] = sizes.basal_area / sizes.apical_area
         return columns | ({"name": np.array(self.names, dtype=object)} if self.names else {})
 
 

@@ -83,12 +83,12 @@ def cut(
     row, which = np.nonzero(crossed)
     one, two = EDGES[which].T
     edge[row, one, two] = edge[row, two, one] = place
-    faces, corners, face = _number_faces(four, edge)
+    faces, sides, own, face = _number_faces(four, edge)
     inner = np.flatnonzero(_kinds(four.labels) == _FOUR)
     ends = np.stack(np.divmod(edges, TOTAL), axis=1)
     points = [_on_edges(nodes[ends], labels[ends], backbones)]
-    for simplex in (corners, four.nodes[inner]):
-        points.append(_within(nodes[simplex], labels[simplex], backbones))
+    points.append(_within(points[0][sides], own, backbones))
+    points.append(_within(points[1][face[inner]], four.labels[inner], backbones))
     first = np.cumsum([0, *map(len, points)])
     middle = np.full(len(four.nodes), -1)
     middle[inner] = first[2] + np.arange(len(inner))
@@ -125,21 +125,22 @@ def _in_layout(four: _Sorted) -> _Sorted:
 
 def _number_faces(
     four: _Sorted, edge: Int[np.ndarray, "t 4 4"]
-) -> tuple[Int[np.ndarray, " f"], Int[np.ndarray, "f 3"], Int[np.ndarray, "t 4"]]:
-    """The keys and corners of all faces of three labels, and the number of that opposite each node; else -1."""
+) -> tuple[Int[np.ndarray, " f"], Int[np.ndarray, "f 3"], Int[np.ndarray, "f 3"], Int[np.ndarray, "t 4"]]:
+    """The keys, crossed edges and labels of all faces of three labels; that opposite each node by its number, or -1."""
     rows = np.flatnonzero(np.isin(_kinds(four.labels), (_PAIR, _FOUR)))
-    keys, corners, places = [], [], []
+    keys, crossed, labels, places = [], [], [], []
     for opposite in range(4):
         i, j, k = (node for node in range(4) if node != opposite)
         sides = np.stack([edge[rows, i, j], edge[rows, j, k], edge[rows, k, i]], axis=1)
         three = (sides >= 0).all(axis=1)
         keys.append(edge_keys(sides[three]))  # two of the sides tell the third
-        corners.append(four.nodes[rows[three]][:, [i, j, k]])
+        crossed.append(sides[three])
+        labels.append(four.labels[rows[three]][:, [i, j, k]])
         places.append((rows[three], np.full(three.sum(), opposite)))
     known, first, number = np.unique(np.concatenate(keys), return_index=True, return_inverse=True)
     face = np.full((len(four.nodes), 4), -1)
     face[tuple(np.concatenate(place) for place in zip(*places, strict=True))] = number
-    return known, np.concatenate(corners)[first], face
+    return known, np.concatenate(crossed)[first], np.concatenate(labels)[first], face
 
 
 def _cut_tetrahedra(four: _Sorted, edge: np.ndarray, face: np.ndarray, middle: np.ndarray):
@@ -215,7 +216,11 @@ def _on_edges(
 def _within(
     corners: Float[np.ndarray, "m k 3"], labels: Int[np.ndarray, "m k"], backbones: Segments
 ) -> Float[np.ndarray, "m 3"]:
-    """The points of faces or tetrahedra that are as far from the backbones of all corners, or near there."""
+    """The points within simplices that are as far from all of their backbones, or near there.
+
+    The corners are where walls of two cells cross edges, or lines of three cross faces: since the angles of cells are
+    below 180 degrees, what they run to lies between.
+    """
     count, k = labels.shape
     sides = corners[:, 1:] - corners[:, :1]
     share = np.full((count, k), 1 / k)

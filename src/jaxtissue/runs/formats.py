@@ -1,4 +1,5 @@
-"""The names of the formats of exports, and the units they may carry."""
+"""The names of the formats of exports, the units they may carry, and the names of pictures."""
 
 FORMATS = ("ome-tiff", "vtu", "pvd", "ply", "stl", "glb", "graphml", "csv", "parquet", "anndata")
 UNITS = ("nm", "um", "mm", "cm", "m")
+VIEWED = ("tissue", "exploded", "cell", "scutoid", "internal", "surfaces", "movie")

@@ -1,0 +1,1 @@
+"""Pictures of tissues in three dimensions."""

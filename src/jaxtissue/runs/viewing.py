@@ -1,0 +1,103 @@
+"""Pictures of the tissue in the folder of a run, and which cell they show."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from jaxtissue.exports.tissue_record import TissueRecord
+from jaxtissue.meshes.cell_meshes import mesh_cells
+from jaxtissue.pictures.scenes import draw_cells, draw_tissue, save, shades
+from jaxtissue.runs.plots import Tissue, plot_surfaces, save_figure
+
+LOOKED_AT = 1e-4  # the tolerance of meshes that are only looked at
+MOVING = 1e-3  # and of those in a movie
+_SECONDS = 0.7  # for each picture of a movie
+
+
+def view_tissue(tissue: TissueRecord, what: str, path: Path, cell: int | None = None) -> None:
+    """Write a picture of a tissue: one of `VIEWS`, of the given cell where it is of one.
+
+    Raises:
+        ValueError: If PyVista is not installed, if the cell does not exist, or if the tissue has none such.
+    """
+    if cell is not None and not 0 <= cell < len(tissue.positions):
+        raise ValueError(
+            f"--cell {cell} is none of the {len(tissue.positions)} cells; give 0 to {len(tissue.positions) - 1}"
+        )
+    VIEWS[what](tissue, path, cell)
+
+
+def find_scutoid(tissue: TissueRecord) -> int:
+    """The cell that shows best what a scutoid is: with few transition points, at no end, nearest to the middle."""
+    found = tissue.connectivity
+    count, forms = found.transitions.per_cell, found.forms
+    good = np.flatnonzero((count > 0) & ~found.is_end & ~forms.is_ring & (forms.pieces == 1))
+    good = good if len(good) else np.flatnonzero(count > 0)
+    if not len(good):
+        raise ValueError("no cell of the tissue is a scutoid; look at --what cell")
+    aside = np.abs(np.asarray(tissue.positions)[good, 0] / float(tissue.tube.length) - 0.5)
+    return int(good[np.argmin(np.maximum(count[good], 2) + aside)])
+
+
+def _draw_whole(tissue: TissueRecord, path: Path, cell: int | None, **options: Any) -> None:
+    save(draw_tissue(tissue.meshes, unit=tissue.unit, **options), path)
+
+
+def _draw_cell(tissue: TissueRecord, path: Path, cell: int | None) -> None:
+    own = len(tissue.positions) // 2 if cell is None else cell
+    pairs = tissue.connectivity.contacts.pairs
+    around = np.setdiff1d(pairs[(pairs == own).any(axis=1)], [own])
+    save(draw_cells(tissue.meshes, [own], around.tolist(), unit=tissue.unit), path)
+
+
+def _draw_scutoid(tissue: TissueRecord, path: Path, cell: int | None) -> None:
+    own, transitions = find_scutoid(tissue) if cell is None else cell, tissue.connectivity.transitions
+    at = (transitions.cells == own).any(axis=1)
+    if not at.any():
+        raise ValueError(f"cell {own} has no transition point; leave --cell out, or look at --what cell")
+    around = np.setdiff1d(transitions.cells[at], [own])
+    save(draw_cells(tissue.meshes, [own], around.tolist(), transitions.points[at], tissue.unit), path)
+
+
+def _draw_internal(tissue: TissueRecord, path: Path, cell: int | None) -> None:
+    contacts = tissue.connectivity.contacts
+    inner = np.flatnonzero((contacts.kind == "internal") & (cell is None or (contacts.pairs == cell).any(axis=1)))
+    if not len(inner):
+        raise ValueError("no two cells touch only within the tissue there; look at --what cell")
+    pair = contacts.pairs[inner[np.argmax(contacts.area[inner])]]
+    transitions = tissue.connectivity.transitions
+    both = np.isin(transitions.cells, pair).sum(axis=1) == 2
+    around = np.setdiff1d(transitions.cells[both], pair)
+    save(draw_cells(tissue.meshes, pair.tolist(), around.tolist(), transitions.points[both], tissue.unit), path)
+
+
+def _draw_surfaces(tissue: TissueRecord, path: Path, cell: int | None) -> None:
+    shown = Tissue("unrolled", tissue.positions, tissue.columns["volume"])
+    save_figure(path, partial(plot_surfaces, tissue.tube, [shown]))
+
+
+def _draw_movie(tissue: TissueRecord, path: Path, cell: int | None) -> None:
+    """The kept sweeps of a run, the cells in the colors of the last one."""
+    if not tissue.history:
+        raise ValueError("a movie needs the sweeps of a run that anneal made; look at --what tissue")
+    colors, frames = shades(tissue.meshes), []
+    for _, positions in sorted(tissue.history.items()):
+        plotter = draw_tissue(mesh_cells(positions, tissue.tube, MOVING), colors, unit=tissue.unit)
+        frames.append(Image.fromarray(plotter.screenshot(return_img=True)).convert("P", palette=Image.Palette.ADAPTIVE))
+        plotter.close()
+    frames[0].save(path, "GIF", save_all=True, append_images=frames[1:], duration=round(1000 * _SECONDS), loop=0)
+
+
+VIEWS: dict[str, Callable[[TissueRecord, Path, int | None], None]] = {
+    "tissue": _draw_whole,
+    "exploded": partial(_draw_whole, apart=0.5),
+    "cell": _draw_cell,
+    "scutoid": _draw_scutoid,
+    "internal": _draw_internal,
+    "surfaces": _draw_surfaces,
+    "movie": _draw_movie,
+}
