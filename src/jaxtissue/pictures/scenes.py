@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float
+from jaxtyping import Bool, Float
 from matplotlib.colors import to_rgb
 
 from jaxtissue.meshes.cell_meshes import CellMeshes
@@ -47,7 +47,7 @@ def draw_tissue(
         chosen = ~((middles[:, 1] < 0) & (middles[:, 2] > 0))
     if apart:
         middle = (meshes.points.min(axis=0) + meshes.points.max(axis=0)) / 2
-        for cell in np.flatnonzero(chosen):
+        for cell in np.flatnonzero(chosen).tolist():
             _add(plotter, pyvista, meshes, _only(meshes, cell), colors, shift=apart * (middles[cell] - middle))
     else:
         _add(plotter, pyvista, meshes, chosen, colors)
@@ -58,7 +58,7 @@ def draw_cells(
     meshes: CellMeshes,
     cells: Sequence[int],
     around: Sequence[int] = (),
-    points: Float[ArrayLike, "k 3"] = (),
+    points: Any = (),
     unit: str = "",
 ) -> Any:
     """Some cells in full color, others round them like glass, and points such as transition points as black balls."""
@@ -124,7 +124,7 @@ def _add(
     chosen: Bool[np.ndarray, " n"],
     colors: np.ndarray,
     opacity: float = 1.0,
-    shift: ArrayLike = (0, 0, 0),
+    shift: Any = (0, 0, 0),
 ) -> None:
     part = body(meshes, chosen)
     part = part._replace(points=part.points + np.asarray(shift, float))
