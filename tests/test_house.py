@@ -14,6 +14,7 @@ ROOMS = [  # from the ground up: a room imports only what stands before it
     "compilation",
     "geometry",
     "measurement",
+    "sections",
     "diagram",
     "meshes",
     "neighbors",

@@ -19,6 +19,7 @@ TUBE = jt.Tube(length=12, apical_radius=1, basal_radius=3)
 CELLS = 40
 STEP = jax.jit(jt.step)
 NAMES = """
+BentTube Ellipsoid EllipticTube Fold RoundTube Shell Slab Sphere
 PRESETS Adhesion AnnealResult Annealer CellGeometry CellMeasurer Connectivity Contacts ExactDiagram LabelCells Model
 NeighborList Resolution SweepRecord TissueFit Tube anneal bound_ratios cartesian_voxels cells_for_unit_volume
 constant_schedule covering_radius cylindrical_voxels epithelial_energy exact_cells find_connectivity find_contacts

@@ -25,6 +25,8 @@ from jaxtissue.dynamics.steps import init, step
 from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
 from jaxtissue.geometry.domain_files import load_domain
+from jaxtissue.geometry.shapes import BentTube, Ellipsoid, EllipticTube, Fold, RoundTube, Slab, Sphere
+from jaxtissue.geometry.shells import Shell
 from jaxtissue.geometry.tube import Tube, cells_for_unit_volume
 from jaxtissue.images.label_cells import LabelCells, measure_labels
 from jaxtissue.images.tissue_fit import TissueFit, fit_tissue
@@ -53,15 +55,23 @@ __all__ = [
     "Adhesion",
     "AnnealResult",
     "Annealer",
+    "BentTube",
     "CellGeometry",
     "CellMeasurer",
     "Connectivity",
     "Contacts",
+    "Ellipsoid",
+    "EllipticTube",
     "ExactDiagram",
+    "Fold",
     "LabelCells",
     "Model",
     "NeighborList",
     "Resolution",
+    "RoundTube",
+    "Shell",
+    "Slab",
+    "Sphere",
     "SweepRecord",
     "TissueFit",
     "Tube",

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from jaxtissue.geometry.domain_files import load_domain
+from jaxtissue.geometry.domain_files import load_tube
 from jaxtissue.geometry.tube import TUBE_SIZES, Tube
 from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
 
@@ -37,7 +37,7 @@ def given_domain(arguments: dict[str, Any]) -> Tube | None:
         if name in arguments:
             option = "--" + name.replace("_", "-")
             raise ValueError(f"{option} is a size of the domain in {path}; leave it or --domain out")
-    return load_domain(path)
+    return load_tube(path)
 
 
 def _tube_sizes(arguments: dict[str, Any]) -> list[float]:

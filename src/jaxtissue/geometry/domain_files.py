@@ -3,6 +3,7 @@
 To add a shape is to add its row to `SHAPES`.
 """
 
+import functools
 import json
 import sys
 from collections.abc import Callable, Mapping
@@ -11,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxtissue.geometry.shapes import BentTube, Ellipsoid, EllipticTube, Fold, RoundTube, Slab, Sphere
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.system.files import write_json
 
@@ -59,23 +61,42 @@ class Shape(NamedTuple):
     defaults: Mapping[str, Any] = {}
 
 
-def _open_tube(length: float, apical_radius: float, basal_radius: float, periodic: bool) -> Tube:
-    if periodic:
-        raise ValueError("periodic=true is not yet known for a tube; give false")
-    return Tube(length, apical_radius, basal_radius)
+def _tube(length: float, apical_radius: float, basal_radius: float, periodic: bool) -> Tube | RoundTube:
+    """A tube with ends has its own way of being measured, at any ratio of radii."""
+    make = functools.partial(RoundTube, periodic=True) if periodic else Tube
+    return make(length, apical_radius, basal_radius)
 
 
 SHAPES: dict[str, Shape] = {
     "tube": Shape(
         Tube,
         {"length": number, "apical_radius": number, "basal_radius": number, "periodic": flag},
-        _open_tube,
+        _tube,
         {"periodic": False},
+    ),
+    "slab": Shape(
+        Slab,
+        {"width": number, "depth": number, "thickness": number, "periodic": several(2, flag)},
+        Slab,
+        {"periodic": (False, False)},
+    ),
+    "elliptic_tube": Shape(
+        EllipticTube,
+        {"length": number, "apical_axes": several(2, number), "basal_axes": several(2, number)},
+        EllipticTube,
+    ),
+    "bent_tube": Shape(
+        BentTube, {"bend_radius": number, "arc": number, "apical_radius": number, "basal_radius": number}, BentTube
+    ),
+    "sphere": Shape(Sphere, {"apical_radius": number, "basal_radius": number}, Sphere),
+    "ellipsoid": Shape(Ellipsoid, {"apical_axes": several(3, number), "basal_axes": several(3, number)}, Ellipsoid),
+    "fold": Shape(
+        Fold, {"width": number, "depth": number, "amplitude": number, "wavelength": number, "thickness": number}, Fold
     ),
 }
 
 
-def load_domain(path: str | Path) -> Tube:
+def load_domain(path: str | Path) -> Any:
     """Read the domain of a tissue from a JSON file.
 
     The file holds one object, `{"shape": "tube", "length": 40, "apical_radius": 2, "basal_radius": 8, "periodic":
@@ -141,10 +162,19 @@ def domain_values(domain: Any) -> dict[str, Any]:
     {'shape': 'tube', 'length': 40.0, 'apical_radius': 2.0, 'basal_radius': 8.0, 'periodic': False}
     """
     for name, shape in SHAPES.items():
-        if type(domain) is shape.kind:
+        if type(domain) is shape.kind or (name == "tube" and isinstance(domain, RoundTube)):
             sizes = {size: getattr(domain, size, shape.defaults.get(size)) for size in shape.sizes}
             return {"shape": name} | {size: np.asarray(value).tolist() for size, value in sizes.items()}
     raise ValueError(f"a {type(domain).__name__} can't be written; give a domain: {', '.join(SHAPES)}")
+
+
+def load_tube(path: str | Path) -> Tube:
+    """The tube of a file, for what only tubes have yet. Raises `ValueError` for other domains, as for bad files."""
+    domain = load_domain(path)
+    if not isinstance(domain, Tube):
+        told = f"{path}: only a tube with ends can be taken here"
+        raise ValueError(f"{told}; measure other domains by measure_tissue in Python")
+    return domain
 
 
 def save_domain(domain: Any, path: str | Path) -> None:

@@ -71,7 +71,7 @@ def as_positions(
     if isinstance(positions, Tracer):
         _check_shape(positions.shape)
         return positions  # type: ignore[return-value]
-    given = _as_numbers(positions)
+    given = as_numbers(positions)
     _check_shape(given.shape)
     for row, column in np.argwhere(~np.isfinite(given)).tolist():
         name = ("axial", "angle")[column]
@@ -95,12 +95,12 @@ def as_positions(
     return rounded
 
 
-def _as_numbers(positions: Any) -> Float[np.ndarray, "..."]:
-    """Real numbers of any kind in double precision."""
+def as_numbers(positions: Any, names: tuple[str, ...] = ("axial", "angle")) -> Float[np.ndarray, "..."]:
+    """Real numbers of any kind in double precision; those of tables by the names of columns."""
     try:
         columns = positions.keys() if isinstance(positions, Mapping) else getattr(positions, "columns", ())
-        if {"axial", "angle"} <= set(columns):
-            return np.stack([_as_numbers(positions[name]) for name in ("axial", "angle")], axis=-1)
+        if set(names) <= set(columns):
+            return np.stack([as_numbers(positions[name]) for name in names], axis=-1)
         if np.ma.is_masked(positions):
             raise ValueError("some are masked")
         given = np.asarray(positions)
@@ -113,7 +113,7 @@ def _as_numbers(positions: Any) -> Float[np.ndarray, "..."]:
         return given.astype(float)
     except (TypeError, ValueError, OverflowError) as error:
         reason = " ".join(str(error).split())
-        raise ValueError(f"positions are not real numbers ({reason}); give (axial, angle) rows") from error
+        raise ValueError(f"positions are not real numbers ({reason}); give ({', '.join(names)}) rows") from error
 
 
 def _check_shape(shape: tuple[int, ...]) -> None:

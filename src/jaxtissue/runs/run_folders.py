@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxtissue.exports.tissue_record import TissueRecord
-from jaxtissue.geometry.domain_files import load_domain, save_domain
+from jaxtissue.geometry.domain_files import load_tube, save_domain
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
@@ -41,7 +41,7 @@ def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) ->
             history = dict(zip(kept.kept_sweeps.tolist(), kept.kept_positions.astype(float), strict=True))
             history.setdefault(manifest["final"]["sweep"], positions)
     elif (folder / DOMAIN).is_file() and (folder / BACKBONES).is_file():
-        tube = load_domain(folder / DOMAIN)
+        tube = load_tube(folder / DOMAIN)
         positions, names = read_backbones(folder / BACKBONES, tube)
     else:
         raise ValueError(

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxtissue.compilation.fusion import options
 from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.cell_geometry import CellGeometry
@@ -31,6 +32,7 @@ from jaxtissue.neighbors.shortlists import (
     sight_lines,
     survey_tissue,
 )
+from jaxtissue.tissue.domain_tissue import measure_domain_tissue
 from jaxtissue.tissue.refinement import (
     FEW_CELLS,
     LIMITS,
@@ -49,7 +51,7 @@ Positions = Float[Array | np.ndarray, "n 2"]
 @usual_modes()
 def measure_tissue(
     positions: Positions,
-    domain: Tube,
+    domain: Tube | Domain,
     resolution: Resolution | str = "standard",
     surfaces: bool = True,
     tolerance: float | None = None,
@@ -65,8 +67,10 @@ def measure_tissue(
     where the volumes do not add up to the tube's.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        domain: The tube that the backbones stand in.
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes; on other domains
+            than a tube their coordinates, [n, 2], or unit vectors, [n, 3].
+        domain: The tube that the backbones stand in, or any other domain. There cells are measured by sections on
+            layers of constant height, by two rules whose difference gives the errors.
         resolution: How finely cells are measured: a preset or layers and lines.
         surfaces: Whether areas and perimeters on the apical and basal surface are measured too.
         tolerance: The largest error that is asked for, as a fraction of the mean volume and of the mean lateral area.
@@ -76,7 +80,8 @@ def measure_tissue(
     Returns:
         The sizes of each cell. `volume_error` and `lateral_area_error` bound the errors of most cells, not of all.
         `tiling_defect` is the largest relative error of the cells' lengths summed along a line: 0 to rounding, as lists
-        are grown until it is or until they hold all cells, and 0 where the whole tissue is traced.
+        are grown until it is or until they hold all cells, and 0 where the whole tissue is traced. On other domains it
+        is that of the sections of all cells, summed over a layer.
 
     Raises:
         ValueError: If `as_positions` refuses the positions, or if the tolerance is not positive.
@@ -88,6 +93,10 @@ def measure_tissue(
     """
     if tolerance is not None and not tolerance > 0:
         raise ValueError(f"tolerance={tolerance} is not a positive fraction of the mean cell; try 0.001")
+    if isinstance(domain, Domain):
+        if tolerance is not None:
+            raise ValueError(f"tolerance={tolerance} is for tubes alone; take a finer resolution on other domains")
+        return measure_domain_tissue(positions, domain, resolution, surfaces, refine)
     given, resolution = as_positions(positions, domain, float), as_resolution(resolution)
     limits, defect, n = as_limits(tolerance), 0.0, len(given)
     closely = refine and (n <= FEW_CELLS or min(limits) < min(LIMITS))

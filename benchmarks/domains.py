@@ -1,0 +1,101 @@
+"""Errors and times of the sections on domains whose cells are known: reference tubes and the sphere.
+
+    python benchmarks/domains.py [--out FILE]
+
+Errors are root mean squares over the cells as parts of the mean cell; a time is the least of 20 diagrams on kept lists.
+"""
+
+import time
+from typing import Any
+
+import common
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial import SphericalVoronoi
+
+import jaxtissue as jt
+from jaxtissue.geometry.domain_positions import as_domain_positions
+from jaxtissue.sections.cells import SECTIONS, cell_sections, cell_sizes, plan_layers
+from jaxtissue.sections.crowd import as_array
+from jaxtissue.tissue.domain_tissue import RULE, find_sections
+
+KEPT = 20  # candidates of a cell in lists that are kept
+
+
+def cases() -> dict[str, tuple[Any, np.ndarray, np.ndarray, np.ndarray]]:
+    """Domains and positions with the true volumes and lateral areas."""
+    found = {}
+    for name in ("thin_1.01", "paper_Ra5"):
+        with np.load(common.HERE.parent / "tests" / "data" / f"{name}.npz") as data:
+            tube = jt.RoundTube(float(data["L"]), float(data["Ra"]), float(data["Rb"]))
+            found[name] = tube, np.stack([data["x"], data["theta"]], axis=-1), data["V"], data["lateral"]
+    sphere = jt.Sphere(1, 1.5)
+    place = np.asarray(sphere.random_positions(jax.random.key(0), 500), float)
+    place /= np.linalg.norm(place, axis=1, keepdims=True)
+    diagram = SphericalVoronoi(place, threshold=1e-6)
+    diagram.sort_vertices_of_regions()
+    rims = []
+    for region in diagram.regions:
+        corners = diagram.vertices[region]
+        rims.append(np.arccos(np.clip((corners * np.roll(corners, 1, axis=0)).sum(axis=1), -1, 1)).sum())
+    found["sphere"] = sphere, place, diagram.calculate_areas() * (1.5**3 - 1) / 3, np.array(rims) * (1.5**2 - 1) / 2
+    return found
+
+
+def kept_lists(found: Any) -> np.ndarray:
+    """The candidates with an edge on any layer, and the first of the others."""
+    line, is_edge = (np.asarray(part) for part in (found.sections.line, found.sections.is_edge))
+    q, n = found.lists.shape
+    used = np.zeros((q + 4, n), int)
+    slot, layer, cell = np.nonzero(is_edge)
+    np.add.at(used, (line[slot, layer, cell], cell), 1)
+    order = np.argsort(-used[:q] - (found.lists >= 0) / 2, axis=0, kind="stable")[:KEPT]
+    return np.take_along_axis(found.lists, order, axis=0)
+
+
+def measured(domain: Any, positions: np.ndarray, layers: int, volume: np.ndarray, area: np.ndarray) -> dict[str, Any]:
+    """Errors of complete lists and the time on kept ones."""
+    place = as_domain_positions(positions, domain)
+    plan = plan_layers(layers, check=False)
+    found = find_sections(domain, place, plan)
+    lists = as_array(kept_lists(found))
+
+    @jax.jit
+    def again(place: jax.Array, lists: jax.Array) -> Any:
+        # the surfaces carry no volume
+        heights = jnp.asarray(plan.heights[:-2])
+        sections = cell_sections(domain, place, lists, heights, RULE)
+        weights = jnp.asarray(plan.weights[:, :-2], sections.volume.dtype)
+        return weights @ sections.volume, weights @ sections.wall.sum(axis=0)
+
+    sizes = cell_sizes(domain, found.sections, found.layers, found.lists.shape[0])
+    seconds = []
+    for _ in range(20):
+        begun = time.perf_counter()
+        kept = jax.block_until_ready(again(place, lists))
+        seconds.append(time.perf_counter() - begun)
+    return {
+        "layers": layers,
+        "volume_rms": common.rms(sizes.volume[0], volume),
+        "area_rms": common.rms(sizes.lateral_area[0], area),
+        "volume_rms_kept": common.rms(kept[0][0], volume),
+        "area_rms_kept": common.rms(kept[1][0], area),
+        "volume_sum": float(np.asarray(sizes.volume[0], float).sum() / float(domain.volume)),
+        "milliseconds_kept": 1e3 * min(seconds),
+    }
+
+
+def main() -> None:
+    """Measure every case by every preset."""
+    path = common.output(__doc__ or "", "domains")
+    results = {}
+    for name, (domain, positions, volume, area) in cases().items():
+        for preset, resolution in SECTIONS.items():
+            results[f"{name} {preset}"] = row = measured(domain, positions, resolution.layers, volume, area)
+            print(name, preset, {key: float(f"{value:.3g}") for key, value in row.items()}, flush=True)
+    common.write(path, results)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""Cells from their sections: volume, walls, areas and perimeters, for all cells or some, as one pure function."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxtissue.compilation.fusion import take_rows
+from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.vectors import Vector, components
+from jaxtissue.measurement.quadrature import Resolution, as_resolution
+from jaxtissue.sections.crowd import gather_crowd
+from jaxtissue.sections.polygons import Rule, Sections, measure_sections
+from jaxtissue.sections.views import look
+
+# Cut from the measured frontier of error against time (benchmarks/domains.py)
+SECTIONS = {"draft": Resolution(2, 4), "standard": Resolution(4, 8), "fine": Resolution(8, 10)}
+
+
+class Layers(eqx.Module):
+    """The layers on which cells are measured, and the weights of rules for integrals over the height.
+
+    The last two layers are the apical and the basal surface, of weight 0.
+    """
+
+    heights: Float[np.ndarray, " layers"]
+    weights: Float[np.ndarray, "rules layers"]
+
+
+class CellSizes(NamedTuple):
+    """The sizes of cells by each rule, and their walls.
+
+    Attributes:
+        volume: [rules, cells].
+        lateral_area: [rules, cells].
+        areas: Of the sections on the apical and the basal surface, [2, cells].
+        perimeters: Of the edges with other cells there, [2, cells].
+        touches_end: Whether a section reaches a free end, [cells].
+        is_ring: Whether a section reaches round to where it meets itself, [cells].
+        is_cut: Whether a section has more edges than slots, or reaches the limit of its chart, [cells].
+        section_volume: The volume per height of all cells together, [layers].
+    """
+
+    volume: Array
+    lateral_area: Array
+    areas: Array
+    perimeters: Array
+    touches_end: Bool[Array, " cells"]
+    is_ring: Bool[Array, " cells"]
+    is_cut: Bool[Array, " cells"]
+    section_volume: Array
+
+
+def plan_layers(count: int, check: bool = True) -> Layers:
+    """Gauss-Legendre layers, and then, for the error estimate, those of one layer less."""
+    heights, weights = [], []
+    for layers in (count, count - 1) if check and count > 1 else (count,):
+        place, weight = np.polynomial.legendre.leggauss(layers)
+        heights.append((place + 1) / 2)
+        weights.append(weight / 2)
+    total = sum(map(len, heights)) + 2
+    table, first = np.zeros((len(heights), total)), 0
+    for row, weight in zip(table, weights, strict=True):
+        row[first : first + len(weight)] = weight
+        first += len(weight)
+    return Layers(np.concatenate([*heights, [0.0, 1.0]]), table)
+
+
+def cell_sections(
+    domain: Domain,
+    positions: Float[Array, "n d"],
+    lists: Int[Array, "q cells"],
+    heights: Float[Array, " layers"],
+    rule: Rule,
+    cells: Int[Array, " cells"] | None = None,
+) -> Sections:
+    """The sections of all cells, or of some, on layers.
+
+    Args:
+        domain: The tissue.
+        positions: The positions of all backbones, [n, d].
+        lists: The candidates of each cell that is measured, as numbers in the crowd, -1 for none.
+        heights: The heights of the layers.
+        rule: How a section is measured.
+        cells: The numbers of the cells that are measured; all if None.
+    """
+    place = components(jnp.asarray(positions))
+    crowd = gather_crowd(domain, place)
+
+    def some(table: Array) -> Array:
+        return table[: crowd.cells] if cells is None else take_rows(table, cells)
+
+    own = jax.tree.map(some, crowd.segments)
+    rivals = jax.tree.map(lambda table: take_rows(table, lists), crowd.segments)
+    # a candidate that is not there stands apart, lest it be the cell itself
+    view = look(domain, jax.tree.map(some, place), jnp.asarray(heights, place[0].dtype), own, rivals, lists >= 0)
+    return measure_sections(domain, view, rule)
+
+
+def cell_sizes(domain: Domain, sections: Sections, layers: Layers, candidates: int) -> CellSizes:
+    """The sizes of cells from their sections on these layers, of lists with so many candidates."""
+    weights = jnp.asarray(layers.weights, sections.volume.dtype)
+    limit = sections.line - candidates
+    is_long = sections.is_edge & (limit >= 0)
+    ends, seams = (_any_limit(limit, is_long, which) for which in (domain.base.is_end(), domain.base.is_seam()))
+    others = _any_limit(limit, is_long, ~(domain.base.is_end() | domain.base.is_seam()))
+    return CellSizes(
+        weights @ sections.volume,
+        weights @ sections.wall.sum(axis=0),
+        sections.area[-2:],
+        sections.length.sum(axis=0)[-2:],
+        ends,
+        seams,
+        others | (sections.spare > 0).any(axis=0),
+        sections.volume.sum(axis=-1),
+    )
+
+
+def _any_limit(limit: Array, is_edge: Array, which: np.ndarray) -> Array:
+    reached = jnp.zeros(limit.shape[-1], bool)
+    for k in np.flatnonzero(which).tolist():
+        reached |= (is_edge & (limit == k)).any(axis=(0, 1))
+    return reached
+
+
+def section_layers(resolution: Resolution | str) -> int:
+    """The number of layers of the finer of both rules; the lines of a resolution mean nothing to sections."""
+    return (
+        SECTIONS[resolution] if isinstance(resolution, str) and resolution in SECTIONS else as_resolution(resolution)
+    ).layers
+
+
+def corner_points(sections: Sections) -> tuple[Vector, Array]:
+    """The corners and middles of edges, components [2, slots, *T], and which there are."""
+    points = tuple(jnp.stack(pair) for pair in zip(sections.corner, sections.middle, strict=True))
+    return points, jnp.stack([sections.is_edge] * 2)

@@ -1,0 +1,146 @@
+"""Half planes of one layer: the lines that bound a cell's section, and where they cut each other.
+
+All tables have the lines first and then the axes of layers and cells, *T, which are treated alike.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+from jaxtissue.compilation.fusion import fusion_barrier
+from jaxtissue.geometry.vectors import Vector, add, dot, scale, turned
+
+FAR = 1e6  # sections are in lengths; nothing is as far as that many of them
+PARALLEL = 1e-6  # the sine of an angle below which two lines never meet
+CHUNK = 24  # lines in one turn of the loop
+
+
+class HalfPlanes(NamedTuple):
+    """The points z with n . z <= c, for unit normals n and offsets c, [lines, *T]."""
+
+    normal: Vector
+    offset: Array
+
+
+class Cuts(NamedTuple):
+    """Where each line is cut by the others: from `start` to `end` along its direction, and by which of them."""
+
+    start: Array
+    end: Array
+    before: Int[Array, "lines *T"]  # the line that cuts it at its start
+    after: Int[Array, "lines *T"]
+
+    @property
+    def exists(self) -> Bool[Array, "lines *T"]:
+        """Whether anything is left of each line: then it is an edge of the polygon."""
+        return self.start < self.end
+
+
+def cut(planes: HalfPlanes, anchor: Array) -> Cuts:
+    """Cut each line by all others: no order, no branch.
+
+    Line j is the points c_j n_j + s t_j, and s (n_k . t_j) <= c_k - c_j n_k . n_j for all k. Only the numbers of lines
+    go on from here into sizes, so derivatives stop. The number of the line that cuts rides in the lowest bits of s, and
+    start and end are one complex number: two results would each repeat the loop.
+    """
+    planes = jax.tree.map(jax.lax.stop_gradient, planes)
+    c, along = planes.offset, turned(planes.normal)
+    lines, bits = c.shape[0], max(5, (c.shape[0] - 1).bit_length())
+    integer = jnp.int64 if c.dtype == jnp.float64 else jnp.int32
+    recast, least = jax.lax.bitcast_convert_type, jnp.asarray(-1 << bits, integer)
+
+    def narrow(start: Array, end: Array, k: Array | int, other: HalfPlanes) -> tuple[Array, Array]:
+        slope = dot(other.normal, along)
+        room = other.offset - c * dot(other.normal, planes.normal)
+        crossed = jnp.abs(slope) > PARALLEL
+        at = room / jnp.where(crossed, slope, 1)
+        never = ~crossed & (room < -10 * PARALLEL * jnp.abs(c))  # a line does not end itself, by rounding
+        coded = recast((recast(at, integer) & least) | k, c.dtype)
+        upper = jnp.where(crossed & (slope > 0), coded, jnp.where(never, -FAR, FAR))
+        lower = jnp.where(crossed & (slope < 0), coded, -FAR)
+        return jnp.where(lower > start, lower, start), jnp.where(upper < end, upper, end)
+
+    def several(found: Array, first: Array | int, some: HalfPlanes) -> Array:
+        start, end = found.real, found.imag
+        for k in range(some.offset.shape[0]):
+            start, end = narrow(start, end, first + k, jax.tree.map(lambda table, at=k: table[at], some))
+        return jax.lax.complex(start, end)
+
+    found = jax.lax.complex(jnp.full_like(c, -FAR), jnp.full_like(c, FAR))
+    whole = 0
+    if lines > CHUNK:
+        whole = lines - lines % CHUNK
+        chunks = jax.tree.map(lambda table: table[:whole].reshape(-1, CHUNK, *table.shape[1:]), planes)
+        first = jnp.arange(0, whole, CHUNK, dtype=integer)
+
+        def turn(found: Array, chunk: tuple[Array, HalfPlanes]) -> tuple[Array, None]:
+            return fusion_barrier(lambda: several(found, *chunk), anchor), None
+
+        found, _ = jax.lax.scan(turn, found, (first, chunks))
+    if whole < lines:
+        found = fusion_barrier(lambda: several(found, whole, jax.tree.map(lambda table: table[whole:], planes)), anchor)
+    start, end = found.real, found.imag
+    before, after = ((recast(side, integer) & ~least).astype(jnp.int32) for side in (start, end))
+    return Cuts(start, end, jnp.minimum(before, lines - 1), jnp.minimum(after, lines - 1))
+
+
+def farthest(points: Vector, is_point: Bool[Array, "slots *T"], directions: Vector, anchor: Array) -> Vector:
+    """The point that lies farthest along each direction, [lines, *T]: of the corners, that which a line cuts first."""
+    integer = jnp.int64 if directions[0].dtype == jnp.float64 else jnp.int32
+    recast, least = jax.lax.bitcast_convert_type, jnp.asarray(-1 << 5, integer)
+
+    def search() -> Array:
+        best = jnp.full_like(directions[0], -FAR)
+        for k in range(is_point.shape[0]):
+            height = dot(directions, (points[0][k], points[1][k]))
+            coded = recast((recast(height, integer) & least) | k, height.dtype)
+            best = jnp.where(is_point[k] & (coded > best), coded, best)
+        return (recast(best, integer) & ~least).astype(jnp.int32)
+
+    return take(points, jnp.minimum(fusion_barrier(search, anchor), is_point.shape[0] - 1))
+
+
+def crossing(one: HalfPlanes, other: HalfPlanes, least: float) -> Vector:
+    """Where two lines cross each other; on the first, at its foot, where the sine of their angle is below `least`."""
+    along = turned(one.normal)
+    slope = dot(other.normal, along)
+    room = other.offset - one.offset * dot(other.normal, one.normal)
+    crossed = jnp.abs(slope) > least
+    share = jnp.where(crossed, room / jnp.where(crossed, slope, 1), 0)
+    return add(scale(one.offset, one.normal), scale(share, along))
+
+
+class Packed(NamedTuple):
+    """The lines that exist, in the first slots.
+
+    Attributes:
+        line: Their numbers, [slots, *T].
+        is_edge: Which slots are filled.
+        slot: The slot of each line that exists, [lines, *T].
+    """
+
+    line: Int[Array, "slots *T"]
+    is_edge: Bool[Array, "slots *T"]
+    slot: Int[Array, "lines *T"]
+
+
+def pack(exists: Bool[Array, "lines *T"], slots: int) -> Packed:
+    """Put the lines that exist into slots."""
+    lines, extra = exists.shape[0], (1,) * (exists.ndim - 1)
+    before = jnp.tril(jnp.ones((lines, lines), jnp.float32))
+    count = jnp.tensordot(before, exists.astype(jnp.float32), 1).astype(jnp.int32)
+    slot = jnp.arange(slots, dtype=jnp.int32).reshape(slots, *extra)
+    number = jnp.arange(lines, dtype=jnp.int32).reshape(lines, *extra)
+    chosen = exists & (count == slot[:, None] + 1)
+    return Packed(jnp.where(chosen, number, 0).sum(axis=1), slot < count[-1:], jnp.clip(count - 1, 0, slots - 1))
+
+
+def take(tables: Any, number: Int[Array, "slots *T"]) -> Any:
+    """The rows of tables [lines, *T] for numbers [slots, *T]; a table without layers is that of all layers."""
+
+    def rows(table: Array) -> Array:
+        return jnp.take_along_axis(jnp.broadcast_to(table, (table.shape[0], *number.shape[1:])), number, axis=0)
+
+    return jax.tree.map(rows, tables)

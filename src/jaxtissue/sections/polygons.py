@@ -1,0 +1,278 @@
+"""Sections of cells: polygons on layers whose edges are the walls, refined by Newton's method and integrated.
+
+On a layer a cell is nearly a polygon, since walls between neighbors are nearly flat. Each rival's wall is one line,
+taken at half the way to it and again at the middle of its edge; lines cut each other, and the two corners and the
+middle of each edge move onto the true walls.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+from jaxtissue.compilation.fusion import fusion_barrier
+from jaxtissue.geometry.domains import Domain, Frame
+from jaxtissue.geometry.vectors import Vector, add, area, dot, each, scale, subtract, turned
+from jaxtissue.sections.half_planes import HalfPlanes, Packed, crossing, cut, farthest, pack, take
+from jaxtissue.sections.views import Segments, View, as_half_planes, first_places, gap, limit_planes
+
+SHARP = 0.03  # the sine of the angle of two walls below which their corner stays that of the lines
+STEEP = 0.3  # the least cosine between an edge and its chord
+STRIDE = 0.3  # of the way from the backbone to a corner, or of a chord: points move no farther
+LEAST_SLOPE = 1e-6
+SIMPSON = (1 / 6, 4 / 6, 1 / 6)
+# Rules for the integral of r f(r) from 0 to 1: nodes, weights, and the weight of r = 1; exact to the second degree, and
+# Gauss-Radau, to the fourth
+RAYS = {
+    1: ((0.5,), (1 / 3,), 1 / 6),
+    2: ((0.27639320225002106, 0.7236067977499789), (0.11509828350069877, 0.30156838316596796), 1 / 12),
+}
+
+
+class Rule(NamedTuple):
+    """How a section is measured.
+
+    Attributes:
+        slots: The largest number of edges of a section.
+        passes: How often the walls are taken as lines, each time nearer to their edges.
+        steps: How many steps of Newton's method corners and middles take to the walls.
+        rays: How many points between the backbone and the rim are looked at, 1 or 2.
+    """
+
+    slots: int = 14
+    passes: int = 2
+    steps: int = 1
+    rays: int = 2
+
+
+class Sections(NamedTuple):
+    """The sections of cells on layers; tables end with the axes of layers and cells, *T.
+
+    Attributes:
+        line: The line of each edge, [slots, *T]: a candidate's number, or, from q on, one of the four limits.
+        after: The line that follows it counterclockwise.
+        is_edge: Which slots hold an edge.
+        wall: The area of each wall per height, 0 at limits.
+        length: The length of each edge, 0 at limits.
+        volume: The volume per height, [*T].
+        area: The area of the section, [*T].
+        corner: The point where each edge ends, components [slots, *T].
+        middle: The middle of each edge.
+        spare: How many edges found no slot, [*T]; 0 or less where all did.
+    """
+
+    line: Int[Array, "slots *T"]
+    after: Int[Array, "slots *T"]
+    is_edge: Bool[Array, "slots *T"]
+    wall: Array
+    length: Array
+    volume: Array
+    area: Array
+    corner: Vector
+    middle: Vector
+    spare: Int[Array, "*T"]
+
+
+class Edges(NamedTuple):
+    """The edges in slots: their lines as taken last, and the walls that they are of."""
+
+    plane: HalfPlanes
+    rivals: Segments
+    is_wall: Bool[Array, "slots *T"]
+
+
+class Polygon(NamedTuple):
+    """The polygon of each cell: its edges in slots, from corner to corner."""
+
+    packed: Packed
+    edge: Edges
+    start: Vector
+    end: Vector
+    after: Int[Array, "slots *T"]
+    spare: Int[Array, "*T"]
+
+
+def measure_sections(domain: Domain, view: View, rule: Rule) -> Sections:
+    """Measure the section of each cell on each layer."""
+    anchor = view.anchor
+    packed, edge, start, end, after, spare = find_polygons(domain, view, rule)
+    chord, middle = subtract(end, start), scale(0.5, add(start, end))
+    for _ in range(rule.steps):
+        middle = fusion_barrier(lambda z=middle: add(z, _to_wall(domain, view, z, edge, chord)), anchor)
+    span = dot(chord, turned(edge.plane.normal))
+    is_edge = packed.is_edge & (span > 0)
+    curve = _joined(start, middle, end)
+    found = fusion_barrier(lambda: _integrands(domain, view, curve, _joined(edge, edge, edge)), anchor)
+    wall, length = (
+        jnp.where(
+            is_edge & edge.is_wall, span * sum(s * part for s, part in zip(SIMPSON, _parts(size, 3), strict=True)), 0
+        )
+        for size in found[:2]
+    )
+    filled = fusion_barrier(lambda: _fill(domain, view, curve, is_edge, found[2], rule.rays), anchor)
+    _, at_middle, at_end = _parts(found[3], 3)
+    return Sections(packed.line, after, is_edge, wall, length, *filled, at_end, at_middle, spare)
+
+
+def find_polygons(domain: Domain, view: View, rule: Rule) -> Polygon:
+    """The polygon of each section, by a fixed number of passes from lines to corners and back to lines.
+
+    Corners are brought onto the walls. Then a wall with an edge is the line through the edge's corners, and one without
+    is taken as a line at the corner that it would cut first: so what cuts off a corner is found in the next pass.
+    """
+    anchor, limits = view.anchor, limit_planes(domain, view)
+    flat = view.frame(domain, (jnp.zeros((1, *view.height.shape), view.height.dtype),) * 2)
+    first = fusion_barrier(lambda: first_places(view, flat), anchor)
+    planes = fusion_barrier(lambda: _lines(domain, view, first), anchor)
+    planes = _joined(planes, *limits)
+
+    def more(planes: HalfPlanes, _: None) -> tuple[HalfPlanes, Polygon]:
+        polygon = _cut_out(domain, view, planes, rule)
+        return _refined(domain, view, planes, polygon), polygon
+
+    _, polygons = jax.lax.scan(more, planes, length=rule.passes)
+    return jax.tree.map(lambda table: table[-1], polygons)
+
+
+def _cut_out(domain: Domain, view: View, planes: HalfPlanes, rule: Rule) -> Polygon:
+    """The polygon that the lines leave, with its corners moved onto the walls."""
+    anchor = view.anchor
+    cuts = cut(planes, anchor)
+    packed = fusion_barrier(lambda: pack(cuts.exists, rule.slots), anchor)
+    before, after = fusion_barrier(lambda: take((cuts.before, cuts.after), packed.line), anchor)
+    edge = _edges(planes, view, packed.line, anchor)
+    twice, others = _joined(edge, edge), _edges(planes, view, jnp.concatenate([before, after]), anchor)
+    corners = fusion_barrier(lambda: crossing(twice.plane, others.plane, 1e-5), anchor)
+    for _ in range(rule.steps):
+        corners = fusion_barrier(lambda z=corners: add(z, _to_corner(domain, view, z, twice, others)), anchor)
+    start, end = _parts(corners, 2)
+    return Polygon(packed, edge, start, end, after, jnp.sum(cuts.exists, axis=0) - rule.slots)
+
+
+def _refined(domain: Domain, view: View, planes: HalfPlanes, polygon: Polygon) -> HalfPlanes:
+    """The lines, nearer to the walls where these bound the polygon or may do so."""
+    anchor, candidates = view.anchor, view.is_there.shape[0]
+    old, limits = (jax.tree.map(lambda table, some=some: table[some], planes)
+                   for some in (slice(candidates), slice(candidates, None)))  # fmt: skip
+    slot = polygon.packed.slot[:candidates]
+    number = jnp.arange(candidates, dtype=slot.dtype).reshape(-1, 1, 1)
+    line, is_edge, start, end = fusion_barrier(
+        lambda: take((polygon.packed.line, polygon.packed.is_edge, polygon.start, polygon.end), slot), anchor
+    )
+    chord = subtract(end, start)
+    is_edge = is_edge & (line == number)
+    ahead = dot(chord, turned(old.normal))
+    is_chord = is_edge & (ahead > 0.5 * jnp.sqrt(dot(chord, chord))) & (dot(chord, chord) > 0)
+    corner = farthest(polygon.end, polygon.packed.is_edge, old.normal, anchor)
+    z = each(lambda a, b, c: jnp.where(is_edge, (a + b) / 2, c), start, end, corner)
+    fresh = fusion_barrier(lambda: _lines(domain, view, z), anchor)
+
+    def with_chords() -> HalfPlanes:
+        size = jnp.sqrt(jnp.where(is_chord, dot(chord, chord), 1))
+        normal = (chord[1] / size, -chord[0] / size)
+        lines = HalfPlanes(normal, dot(normal, start))
+        return jax.tree.map(lambda line, plain: jnp.where(is_chord, line, plain), lines, fresh)
+
+    return _joined(fusion_barrier(with_chords, anchor), limits)
+
+
+def _lines(domain: Domain, view: View, z: Vector) -> HalfPlanes:
+    return as_half_planes(gap(view.frame(domain, z), view.own, view.rivals), z, view.is_there)
+
+
+def _joined(*tables: Any) -> Any:
+    """Tables put one after the other along the slots: what is done to them is compiled once."""
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *tables)
+
+
+def _parts(tables: Any, count: int) -> list[Any]:
+    """What `_joined` has joined."""
+    return [jax.tree.map(lambda table, k=k: jnp.split(table, count)[k], tables) for k in range(count)]
+
+
+def _edges(planes: HalfPlanes, view: View, number: Int[Array, "slots *T"], anchor: Array) -> Edges:
+    candidates = view.is_there.shape[0]
+
+    def gather() -> tuple[HalfPlanes, Segments]:
+        return take(planes, number), take(view.rivals, jnp.minimum(number, candidates - 1))
+
+    return Edges(*fusion_barrier(gather, anchor), number < candidates)
+
+
+def _distance(flat: Frame, view: View, z: Vector, edge: Edges) -> tuple[Vector, Array]:
+    """The unit normal of the wall, and how far the point is inside of it, to first order."""
+    found = gap(flat, view.own, edge.rivals)
+    square = dot(found.slope, found.slope)
+    fit = edge.is_wall & (square > LEAST_SLOPE**2 * dot(found.pull, found.pull))
+    steep = jnp.sqrt(jnp.where(fit, square, 1))
+    x, y = (jnp.where(fit, -slope / steep, flat) for slope, flat in zip(found.slope, edge.plane.normal, strict=True))
+    return (x, y), jnp.where(fit, found.value / steep, edge.plane.offset - dot(edge.plane.normal, z))
+
+
+def _to_corner(domain: Domain, view: View, z: Vector, edge: Edges, other: Edges) -> Vector:
+    """One step of Newton's method to the corner of two walls; none where they are nearly parallel, and none too far."""
+    flat = view.frame(domain, z)
+    (a, b), inside = _distance(flat, view, z, edge)
+    (c, d), other_inside = _distance(flat, view, z, other)
+    sine = a * d - b * c
+    sharp = jnp.abs(sine) > SHARP
+    share = jnp.where(sharp, 1 / jnp.where(sharp, sine, 1), 0)
+    step = (share * (inside * d - other_inside * b), share * (other_inside * a - inside * c))
+    return _within(step, scale(STRIDE, z))
+
+
+def _to_wall(domain: Domain, view: View, z: Vector, edge: Edges, chord: Vector) -> Vector:
+    """One step along the edge's normal to its wall."""
+    normal, inside = _distance(view.frame(domain, z), view, z, edge)
+    cosine = dot(normal, edge.plane.normal)
+    step = scale(jnp.where(edge.is_wall, inside / jnp.maximum(cosine, STEEP), 0), edge.plane.normal)
+    return _within(step, scale(STRIDE, chord))
+
+
+def _within(step: Vector, bound: Vector) -> Vector:
+    """The step, or the part of it that is no longer than the bound."""
+    length2, most2 = dot(step, step), dot(bound, bound)
+    long = length2 > most2
+    share = jnp.sqrt(jnp.where(long, jnp.maximum(most2, 1e-30), 1) / jnp.where(long, length2, 1))
+    return scale(jnp.where(long, share, 1), step)
+
+
+def _integrands(domain: Domain, view: View, z: Vector, edge: Edges) -> tuple[Array, Array, tuple[Array, Array], Vector]:
+    """Per step along the edge's line, wall area per height and length; volume and area elements; the point.
+
+    The wall is a level set of g: its area is |grad g| |det dF| / |dg/dz| per length in z and per height.
+    """
+    flat = view.frame(domain, z)
+    volume, level = flat.elements()
+    found = gap(flat, view.own, edge.rivals)
+    square, whole = dot(found.slope, found.slope), dot(found.pull, found.pull)
+    fit = edge.is_wall & (square > LEAST_SLOPE**2 * whole)
+    steep = jnp.sqrt(jnp.where(fit, square, 1))
+    cosine = jnp.maximum(-dot(found.slope, edge.plane.normal) / steep, STEEP)
+    pull = jnp.sqrt(jnp.where(fit, whole, 1))
+    along = scale(1 / steep, turned(found.slope))
+    tangent = add(scale(along[0], flat.first), scale(along[1], flat.second))
+    speed = jnp.sqrt(jnp.where(fit, dot(tangent, tangent), 1))
+    volume = jnp.abs(volume)
+    return pull * volume / (steep * cosine), speed / cosine, (volume, level), flat.point
+
+
+def _fill(
+    domain: Domain, view: View, curve: Vector, is_edge: Array, rim: tuple[Array, Array], rays: int
+) -> tuple[Array, Array]:
+    """The integrals of the volume and area elements over the sections, each a sum over cones from the backbone."""
+    start, middle, end = _parts(curve, 3)
+    whole = area(start, end)
+    swept = (4 * area(start, middle) - whole, area(middle, subtract(end, start)), 4 * area(middle, end) - whole)
+    sweep = jnp.concatenate([jnp.where(is_edge, s * part, 0) for s, part in zip(SIMPSON, swept, strict=True)])
+    nodes, weights, last = RAYS[rays]
+    inner = _joined(*(scale(node, curve) for node in nodes))
+    factor = jnp.repeat(jnp.asarray(weights, sweep.dtype), sweep.shape[0]).reshape(-1, 1, 1)
+    sizes = zip(view.frame(domain, inner).elements(), rim, strict=True)
+    volume, level = (
+        jnp.sum(sweep * last * outer, axis=0)
+        + jnp.sum(jnp.concatenate([sweep] * len(nodes)) * factor * jnp.abs(element), axis=0)
+        for element, outer in sizes
+    )
+    return volume, level

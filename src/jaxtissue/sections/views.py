@@ -1,0 +1,120 @@
+"""What a cell sees on a layer: coordinates in its tangent plane, and its rivals' bisectors there."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from jaxtissue.geometry.domains import Domain, Frame
+from jaxtissue.geometry.vectors import Vector, add, dot, scale, subtract
+from jaxtissue.sections.half_planes import FAR, HalfPlanes
+
+LEAST_SLOPE = 1e-6  # of a bisector along the layer, as a part of its slope, below which it is no line
+
+
+class Segments(NamedTuple):
+    """Backbones: where they start, and where they go to from there."""
+
+    start: Vector
+    along: Vector
+
+    def offset(self, point: Vector) -> Vector:
+        """From the nearest point of each backbone to a point."""
+        way = subtract(point, self.start)
+        share = jnp.clip(dot(way, self.along) / dot(self.along, self.along), 0, 1)
+        return subtract(way, scale(share, self.along))
+
+
+class View(NamedTuple):
+    """The cells of a tissue as seen on layers; tables end with the axes of layers and cells, *T = (K, n).
+
+    Attributes:
+        place: The point of the base surface below each backbone, [*T].
+        height: The height of each layer, [*T].
+        basis: The rows of the derivative of the local coordinates y by coordinates z in which the layer's metric is
+            the unit matrix at the backbone.
+        own: The backbones, [1, 1, n].
+        rivals: The candidates, [q, 1, n].
+        is_there: Which candidates there are, [q, 1, n].
+    """
+
+    place: Vector
+    height: Array
+    basis: tuple[Vector, Vector]
+    own: Segments
+    rivals: Segments
+    is_there: Bool[Array, "q 1 n"]
+
+    @property
+    def anchor(self) -> Array:
+        """An input, which fusion barriers ask for."""
+        return self.height
+
+    def frame(self, domain: Domain, z: Vector) -> Frame:
+        """Points and derivatives by z at places [..., *T]."""
+        shape = z[0].shape
+        place = tuple(jnp.broadcast_to(part, shape) for part in self.place)
+        point, first, second, upward = domain.frame(place, (dot(self.basis[0], z), dot(self.basis[1], z)), self.height)
+        columns = [add(scale(self.basis[0][k], first), scale(self.basis[1][k], second)) for k in range(2)]
+        return Frame(point, columns[0], columns[1], upward)
+
+
+class Gap(NamedTuple):
+    """How much nearer points are to the own backbone than to a rival, g = d_j^2 - d_i^2, and its derivatives."""
+
+    value: Array
+    slope: Vector  # by z
+    pull: Vector  # by the point, 2 (q_i - q_j)
+
+
+def look(domain: Domain, place: Vector, heights: Array, own: Segments, rivals: Segments, is_there: Array) -> View:
+    """The view of cells at places [n] on layers [K], with own backbones [n] and candidates [q, n]."""
+    shape = (heights.shape[0], place[0].shape[0])
+    height = jnp.broadcast_to(heights[:, None], shape)
+    centers = tuple(jnp.broadcast_to(part, shape) for part in place)
+    flat = domain.frame(centers, (jnp.zeros_like(height),) * 2, height)
+    own = Segments(*(tuple(part[None, None] for part in vector) for vector in own))
+    rivals = Segments(*(tuple(part[:, None] for part in vector) for vector in rivals))
+    return View(centers, height, _basis(flat), own, rivals, is_there[:, None])
+
+
+def _basis(flat: Frame) -> tuple[Vector, Vector]:
+    """L^-T for the metric L L^T."""
+    across = jnp.sqrt(dot(flat.first, flat.first))
+    mixed = dot(flat.first, flat.second) / across
+    rest = jnp.sqrt(dot(flat.second, flat.second) - mixed**2)
+    return (1 / across, -mixed / (across * rest)), (jnp.zeros_like(rest), 1 / rest)
+
+
+def gap(flat: Frame, own: Segments, rivals: Segments) -> Gap:
+    """The gap between the own backbone and rivals at given points."""
+    mine, theirs = own.offset(flat.point), rivals.offset(flat.point)
+    apart = subtract(theirs, mine)
+    pull = scale(2, apart)
+    return Gap(dot(apart, add(theirs, mine)), (dot(pull, flat.first), dot(pull, flat.second)), pull)
+
+
+def as_half_planes(found: Gap, z: Vector, is_there: Array) -> HalfPlanes:
+    """The gaps' zeros as lines, to first order round z; what is not there, or has no slope, bounds nothing."""
+    square, whole = dot(found.slope, found.slope), dot(found.pull, found.pull)
+    fit = is_there & (square > LEAST_SLOPE**2 * whole) & (whole > 0)
+    steep = jnp.sqrt(jnp.where(fit, square, 1))
+    normal = (jnp.where(fit, -found.slope[0] / steep, 1), jnp.where(fit, -found.slope[1] / steep, 0))
+    return HalfPlanes(normal, jnp.where(fit, found.value / steep + dot(normal, z), FAR))
+
+
+def limit_planes(domain: Domain, view: View) -> list[HalfPlanes]:
+    """The limits of sections, low and then high in both local coordinates, as lines, [1, *T]: they are straight."""
+    limits, planes = domain.base.limits(view.place), []
+    for sign, side in ((-1, limits.low), (1, limits.high)):
+        for row, offset in zip(view.basis, side, strict=True):
+            size = sign / jnp.sqrt(dot(row, row))
+            planes.append(HalfPlanes((row[0] * size, row[1] * size), offset * size))
+    return jax.tree.map(lambda table: table[None], planes)
+
+
+def first_places(view: View, flat: Frame) -> Vector:
+    """Half of the tangent part of the way from the backbone to each rival, [q, *T]."""
+    away = view.rivals.offset(flat.point)
+    return (-dot(away, flat.first) / 2, -dot(away, flat.second) / 2)
