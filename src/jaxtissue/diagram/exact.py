@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree, Voronoi
 
 from jaxtissue.diagram.facet_moments import Clip, Edges, at, clipped_moments, straight_moments, take
-from jaxtissue.geometry.positions import as_positions
+from jaxtissue.geometry.positions import as_positions, require_tube
 from jaxtissue.geometry.tube import Tube
 
 LONGEST = 1e4  # basal radii
@@ -90,6 +90,7 @@ def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDia
     """
     if samples < 2:
         raise ValueError(f"samples = {samples}: a backbone needs its two ends, give samples >= 2")
+    require_tube(tube)
     radii = float(tube.length / tube.basal_radius)
     if radii > LONGEST:
         message = f"length={tube.length} is {radii:.3g} basal radii; the exact path takes {LONGEST:.0f} at most"

@@ -68,6 +68,7 @@ def as_positions(
     Traceback (most recent call last):
     ValueError: backbone 1: axial=11.0 is outside the tube; give 0 to 10.0
     """
+    require_tube(tube)
     if isinstance(positions, Tracer):
         _check_shape(positions.shape)
         return positions  # type: ignore[return-value]
@@ -93,6 +94,13 @@ def as_positions(
     if sizes and rounded.dtype == np.float32:
         _warn_of_near(place, rounded, near, rows)
     return rounded
+
+
+def require_tube(domain: Any) -> None:
+    """Raise `ValueError` for other domains than tubes, where only tubes are known."""
+    if not isinstance(domain, Tube):
+        told = f"a {type(domain).__name__} is not taken here yet"
+        raise ValueError(f"{told}; give a Tube, or measure the cells by measure_tissue")
 
 
 def as_numbers(positions: Any, names: tuple[str, ...] = ("axial", "angle")) -> Float[np.ndarray, "..."]:
