@@ -24,6 +24,7 @@ ROOMS = [  # from the ground up: a room imports only what stands before it
     "tissue",
     "images",
     "energy",
+    "minimization",
     "dynamics",
     "simulation",
     "runs",

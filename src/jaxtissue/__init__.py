@@ -33,6 +33,8 @@ from jaxtissue.images.tissue_fit import TissueFit, fit_tissue
 from jaxtissue.measurement.adhesion import Adhesion
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import PRESETS, Resolution
+from jaxtissue.minimization.relaxation import relax
+from jaxtissue.minimization.tissue_energy import tissue_energy
 from jaxtissue.neighbors.neighbor_list import NeighborList
 from jaxtissue.simulation import AnnealResult, anneal
 from jaxtissue.tissue.measurer import CellMeasurer, measure_tissue
@@ -100,11 +102,13 @@ __all__ = [
     "measure_tissue",
     "nearest_backbones",
     "polygon_classes",
+    "relax",
     "separation",
     "step",
     "summarize_connectivity",
     "tabulate_connectivity",
     "tightness",
+    "tissue_energy",
     "tissue_graph",
     "tube_model",
     "use_cores",

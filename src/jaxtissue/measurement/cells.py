@@ -74,7 +74,7 @@ def measure_window(
     return Window(sizes, jnp.where(bears[:, None], wall.reach, -jnp.inf), by, onward)
 
 
-def integrate(wall: Walls, step: Array, lines: Lines) -> list[tuple[Array, Array]]:
+def integrate(wall: Walls, step: Array, lines: Lines, smooth: bool = False) -> list[tuple[Array, Array]]:
     """Volume and lateral area, and area and perimeter on each surface among the lines: sums over strips.
 
     Sums are products with the weights of the lines: as reductions they would run one number at a time.
@@ -83,7 +83,7 @@ def integrate(wall: Walls, step: Array, lines: Lines) -> list[tuple[Array, Array
 
     def summed(rows: slice, weights: Array, tilt: Array) -> tuple[Array, Array]:
         part = jax.tree.map(lambda table: table[rows], wall)
-        sizes = fusion_barrier(lambda: strips(part, tilt[rows], step[rows]), step)
+        sizes = fusion_barrier(lambda: strips(part, tilt[rows], step[rows], smooth), step)
         weights = (weights * radius)[rows][:-1].astype(sizes.dtype)
         total = jnp.matmul(weights, sizes, precision=jax.lax.Precision.HIGHEST)
         return total.real, total.imag

@@ -2,9 +2,10 @@
 
 import functools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
@@ -149,15 +150,33 @@ def plan_lines(
         ends = float(tube.apical_radius), float(tube.basal_radius)
         radius, weight = np.append(radius, ends), np.append(weight, [0.0, 0.0])
     turn = np.sqrt(2 * math.pi * radius * cells / float(tube.length))  # the circle in mean cell widths
+    dense, circle = _density(turn, weight == 0, resolution)
+    half = np.ceil(reach * dense)
+    return Lines(radius, weight, circle, tuple(half.astype(int).tolist()), surfaces)
+
+
+def trace_lines(tube: Tube, cells: int, resolution: Resolution, surfaces: bool = False) -> Lines:
+    """The same lines for a tube whose sizes are traced: radii and weights have derivatives."""
+    inner, outer = jnp.asarray(tube.apical_radius), jnp.asarray(tube.basal_radius)
+    radius, weight = _spline_rule(inner, outer, resolution.layers)
+    if surfaces:
+        radius, weight = jnp.append(radius, jnp.stack([inner, outer])), jnp.append(weight, jnp.zeros(2))
+    turn = jax.lax.stop_gradient(jnp.sqrt(2 * math.pi * radius * cells / tube.length))
+    on_surface = np.arange(len(radius)) >= resolution.layers
+    dense, circle = _density(turn, on_surface, resolution)
+    return Lines(radius, weight, circle, tuple(np.ceil(REACH * dense).astype(int).tolist()), surfaces)
+
+
+def _density(turn: Any, on_surface: np.ndarray, resolution: Resolution) -> tuple[np.ndarray, Any]:
+    """The lines per mean cell width of each layer, and the lines once round it, which has so many widths."""
+    surfaces, xp = on_surface.any(), jnp if isinstance(turn, jax.Array) else np
     depth = (np.arange(resolution.layers) + 0.5) / resolution.layers
     share = np.append(0.65 + 0.7 * depth, (1.5, 1.5) if surfaces else ())
     whole = np.diff(np.round(np.cumsum(GRAIN * resolution.density * share)), prepend=0)
     dense = np.maximum(1, whole) / GRAIN
     fewest = max(16, 4 * resolution.density)
-    round_once = dense * turn * max(1, fewest / (dense * turn)[resolution.layers - 1])
-    circle = np.ceil(np.where(weight == 0, np.maximum(round_once, fewest), round_once))
-    half = np.ceil(reach * dense)
-    return Lines(radius, weight, circle, tuple(half.astype(int).tolist()), surfaces)
+    round_once = dense * turn * xp.maximum(1, fewest / (dense * turn)[resolution.layers - 1])
+    return dense, xp.ceil(xp.where(on_surface, xp.maximum(round_once, fewest), round_once))
 
 
 def layer_rule(tube: Tube, layers: int) -> tuple[Float[np.ndarray, "layers"], Float[np.ndarray, "layers"]]:
@@ -189,3 +208,23 @@ def _layer_rule(inner: float, outer: float, layers: int) -> tuple[np.ndarray, np
         gap = abs(surface - end)
         weight += gap * spline(end) + (surface - end) * gap / 2 * spline(end, 1)
     return radius, weight
+
+
+def _spline_rule(inner: Array, outer: Array, layers: int) -> tuple[Array, Array]:
+    """The same rule as a function of traced radii: the second derivatives of the spline by one linear solve."""
+    if layers == 1:
+        return (inner + outer)[None] / 2, (outer - inner)[None]
+    share = (jnp.arange(layers) + INSET) / (layers - 1 + 2 * INSET)
+    radius = (jnp.sqrt(inner) + (jnp.sqrt(outer) - jnp.sqrt(inner)) * share) ** 2
+    gap, values = jnp.diff(radius), jnp.eye(layers)
+    slope = jnp.diff(values, axis=0) / gap[:, None]
+    bend = jnp.zeros((layers, layers))  # second derivatives, 0 at the ends
+    if layers > 2:
+        inside = jnp.diag((gap[:-1] + gap[1:]) / 3) + jnp.diag(gap[1:-1] / 6, 1) + jnp.diag(gap[1:-1] / 6, -1)
+        bend = bend.at[1:-1].set(jnp.linalg.solve(inside, jnp.diff(slope, axis=0)))
+    weight = (gap[:, None] * (values[:-1] + values[1:]) / 2 - gap[:, None] ** 3 * (bend[:-1] + bend[1:]) / 24).sum(
+        axis=0
+    )
+    low, high = radius[0] - inner, outer - radius[-1]  # beyond its knots it is straight
+    first, last = slope[0] - gap[0] * bend[1] / 6, slope[-1] + gap[-1] * bend[-2] / 6
+    return radius, weight + low * (values[0] - low / 2 * first) + high * (values[-1] + high / 2 * last)

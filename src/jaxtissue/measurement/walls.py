@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Int
+from jaxtyping import Array, Bool, Complex, Int
 
 from jaxtissue.compilation.fusion import arctan, fusion_barrier, larger, smaller, take_rows
 from jaxtissue.geometry.tube import Tube
@@ -19,6 +19,7 @@ from jaxtissue.measurement.axial_lines import FAR, LEVEL, LineFrame, RelativeCoo
 
 BOUNDARY = -1
 CHUNK = 24  # most candidates in one unrolled loop: of 8 it compiles 2 s sooner, and takes twice as long
+PARALLEL = 1e-6  # of a reach: tangents that part by less between two lines are parallel
 UNROLLED = 48  # most candidates whose loops follow each other without a loop around them
 
 
@@ -124,12 +125,26 @@ def walls(by: Array, rivals: RelativeCoords, ends: Array, grid: LineFrame, tube:
         return fusion_barrier(lambda: take_rows(table.ravel(), at), ends)
 
     turn, half = there(jax.lax.complex(rivals.versine, rivals.sine)), there(rivals.half)
+    rival = RelativeCoords(half, 0.25 / half, turn.real, turn.imag)
+    return wall_forms(end, rival, ends, grid, tube, is_level(rivals, tube).any())
+
+
+def wall_forms(
+    end: Bool[Array, "lines 2 cells"],
+    rival: RelativeCoords,
+    ends: Array,
+    grid: LineFrame,
+    tube: Tube,
+    level: Bool[Array, ""] | None = None,
+) -> Walls:
+    """The walls against the rivals [lines, 2, cells] that bound the cells, or against the tube's ends.
+
+    `level` tells whether any wall may be level; if None, it is looked for everywhere.
+    """
     line = jax.tree.map(lambda table: table[:, None], grid)
-    level = is_level(rivals, tube).any()
 
     def wall(some_level: bool) -> Walls:
-        per_gap = 0.5 / half
-        rival = RelativeCoords(half, per_gap / 2, turn.real, turn.imag)
+        per_gap = 2 * rival.slant
         reach, sagitta = crossing(line, rival, tube), line.sagitta_from(rival)
         foot_depth, own_sunk = smaller(sagitta, line.radius - tube.apical_radius), line.foot_depth(tube)
         slope = ((line.radius - foot_depth) * line.across(rival) - (line.radius - own_sunk) * line.y) * per_gap
@@ -145,7 +160,7 @@ def walls(by: Array, rivals: RelativeCoords, ends: Array, grid: LineFrame, tube:
         tangent = jax.lax.complex(jnp.where(end, ends, reach), slope)
         return Walls(tangent, *(jnp.where(end, 0, size) for size in (area, edge)))
 
-    return jax.lax.cond(level, lambda: wall(True), lambda: wall(False))
+    return wall(True) if level is None else jax.lax.cond(level, lambda: wall(True), lambda: wall(False))
 
 
 def facing(by: Int[Array, "lines 2 cells"]) -> Int[Array, "lines 2 cells"]:
@@ -169,24 +184,30 @@ def towards_plane(
     slope, tilt = slopes
     z, y = line.radius - line.sagitta_from(rival), line.across(rival)
     level = is_level(rival, tube)
-    aside = arctan((line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12))
-    slope = jnp.where(level & (jnp.abs(aside) > 1e-3), (reach - rival.half) / aside, slope)
+    tangent = (line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12)
+    aside = arctan(jnp.where(level, tangent, 0))
+    is_aside = jnp.abs(aside) > 1e-3
+    slope = jnp.where(level & is_aside, (reach - rival.half) / jnp.where(is_aside, aside, 1), slope)
     return slope, jnp.where(level, 0, tilt)
 
 
-def strips(wall: Walls, tilt: Array, step: Array) -> Complex[Array, "strips cells"]:
+def strips(wall: Walls, tilt: Array, step: Array, smooth: bool = False) -> Complex[Array, "strips cells"]:
     """Between each line and the next, per cell: layer area / r + i x the integral of the walls' `tilt` / r.
 
     Each side is the two walls' tangents up to where they meet. So three pieces, from 0 over the two meeting
     points to 1, each with a width linear from end to end: its positive part is integrated. Two lines outside
     the cell could only show a phantom of it and count nothing. One complex number, as two results would each
-    repeat the work.
+    repeat the work. If `smooth`, parallel tangents meet nowhere, so that derivatives stay finite.
     """
     step = step[:-1]
     reach = wall.reach[:-1], wall.reach[1:]
     rise = (wall.slope[:-1] * step[:, None], wall.slope[1:] * step[:, None])
     turn = rise[0] - rise[1]
-    bend = jnp.clip((reach[1] - rise[1] - reach[0]) / jnp.where(turn == 0, 1e-30, turn), 0, 1)
+    if smooth:
+        apart, meets = reach[1] - rise[1] - reach[0], jnp.abs(turn) > PARALLEL * (jnp.abs(reach[0]) + jnp.abs(reach[1]))
+        bend = jnp.clip(jnp.where(meets, apart / jnp.where(meets, turn, 1), 0.5), 0, 1)
+    else:
+        bend = jnp.clip((reach[1] - rise[1] - reach[0]) / jnp.where(turn == 0, 1e-30, turn), 0, 1)
     early = bend[:, 0] <= bend[:, 1]
 
     def tangents(pair: tuple[Array, Array]) -> tuple[Array, Array, Array]:

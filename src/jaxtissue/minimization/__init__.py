@@ -1,0 +1,1 @@
+"""Minimization of the energy: its gradient, and methods that go down it."""

@@ -1,0 +1,129 @@
+"""Gradients: of energies against differences, in both modes and precisions; relaxation against Metropolis."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import read_reference
+
+import jaxtissue as jt
+from jaxtissue.measurement.quadrature import PRESETS, plan_lines, trace_lines
+from jaxtissue.minimization.relaxation import METHODS
+
+pytestmark = pytest.mark.usefixtures("quickest_compile")
+WITH_GRADIENT = jax.jit(jax.value_and_grad(jt.tissue_energy), static_argnames="resolution")
+TUBE, CELLS = jt.Tube(length=16.0, apical_radius=2.0, basal_radius=5.0), 60
+
+
+@pytest.fixture(scope="module")
+def start() -> np.ndarray:
+    return np.asarray(TUBE.random_positions(jax.random.key(2), CELLS))
+
+
+def surfaces_too(cells: jt.CellGeometry, model: jt.Model) -> jax.Array:
+    """An energy of all sizes and of parameters."""
+    return jt.epithelial_energy(cells, model) + model.parameters * cells.apical_perimeter**2 + 0.2 * cells.basal_area
+
+
+def test_the_gradient_is_that_of_the_energy(start, x64):
+    model = jt.tube_model(TUBE, CELLS, cell_energy=surfaces_too, parameters=jnp.linspace(0.1, 0.3, CELLS))
+    model, place = model.with_surfaces(), jnp.asarray(start, float)
+    neighbors = jt.NeighborList.allocate(place, TUBE)
+    energy = jax.jit(lambda place, model: jt.tissue_energy(place, model, neighbors, "draft"))
+    by_place, by_model = jax.jit(jax.grad(energy, argnums=(0, 1)))(place, model)
+    rng, step = np.random.default_rng(0), 1e-6
+    for _ in range(3):
+        way = rng.normal(size=place.shape)
+        expected = float(energy(place + step * way, model) - energy(place - step * way, model)) / (2 * step)
+        assert float((by_place * way).sum()) == pytest.approx(expected, rel=1e-5)  # differences in float64
+        forward = jax.jvp(lambda place: energy(place, model), (place,), (jnp.asarray(way),))[1]
+        assert float(forward) == pytest.approx(float((by_place * way).sum()), rel=1e-9)
+    for name, where in {
+        "tube.length": lambda model: model.tube.length,
+        "tube.apical_radius": lambda model: model.tube.apical_radius,
+        "tube.basal_radius": lambda model: model.tube.basal_radius,
+        "tension": lambda model: model.tension,
+    }.items():
+        leaves, tree = jax.tree.flatten(model)
+        at = [leaf is where(model) for leaf in leaves].index(True)
+
+        def moved(by: float, leaves: list = leaves, tree=tree, at: int = at):
+            return energy(place, jax.tree.unflatten(tree, [leaf + by * (k == at) for k, leaf in enumerate(leaves)]))
+
+        expected = float(moved(step) - moved(-step)) / (2 * step)
+        assert float(where(by_model)) == pytest.approx(expected, rel=1e-5, abs=1e-5), name
+
+
+def test_the_energy_is_that_of_the_measured_cells(start):
+    model = jt.tube_model(TUBE, CELLS)
+    neighbors = jt.NeighborList.allocate(start, TUBE)
+    cells = jt.measure_tissue(start, TUBE, "draft", refine=False)
+    expected = float(jt.epithelial_energy(cells, model).sum())
+    assert float(WITH_GRADIENT(start, model, neighbors, "draft")[0]) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["n1", "duplicate_x", "near_coincident", "ratio10_n100"])
+def test_gradients_are_finite_on_every_reference_tube(name: str):
+    ref = read_reference(name)
+    place = jnp.asarray(ref.positions, jnp.float32)
+    model = jt.tube_model(ref.tube, len(place))
+    neighbors = jt.NeighborList.allocate(place, ref.tube)
+    energy, gradient = WITH_GRADIENT(place, model, neighbors, "draft")
+    assert np.isfinite(float(energy)) and np.isfinite(np.asarray(gradient)).all()
+    assert abs(float(gradient[:, 1].sum())) <= 1e-3 * float(jnp.abs(gradient).max()) * len(
+        place
+    )  # turning costs nothing
+
+
+def test_volume_gradients_are_those_of_true_volumes(x64):
+    ref = read_reference("bluenoise_ratio10")
+    place, tube = jnp.asarray(ref.positions), ref.tube
+    model = jt.tube_model(tube, len(place), cell_energy=jt.volume_elasticity)
+    neighbors = jt.NeighborList.allocate(place, tube)
+    gradient = np.asarray(WITH_GRADIENT(place, model, neighbors, "standard")[1])
+
+    def energy(place: np.ndarray) -> float:
+        sizes = jt.find_connectivity(place, tube).sizes
+        return float(jt.volume_elasticity(jt.CellGeometry(sizes.volume, sizes.lateral_area), model).sum())
+
+    found, expected, step = [], [], 1e-4
+    for seed in range(3):
+        way = np.random.default_rng(seed).normal(size=place.shape) / [1, float(tube.basal_radius)]
+        found.append((gradient * way).sum())
+        expected.append((energy(place + step * way) - energy(place - step * way)) / (2 * step))
+    cosine = np.dot(found, expected) / np.linalg.norm(found) / np.linalg.norm(expected)
+    assert cosine > 0.9999  # the bar; measured 0.99999
+
+
+def test_lines_of_traced_tubes_are_those_of_tubes(dtype):
+    trace = jax.jit(trace_lines, static_argnums=(1, 2, 3))
+    for size in (PRESETS["draft"], jt.Resolution(2, 3.0), jt.Resolution(1, 4.0)):
+        known, traced = plan_lines(TUBE, CELLS, size, surfaces=True), trace(TUBE, CELLS, size, True)
+        assert known.half == traced.half
+        for one, other in zip(jax.tree.leaves(known), jax.tree.leaves(traced), strict=True):
+            np.testing.assert_allclose(one, other, rtol=3e-5 if dtype == jnp.float32 else 1e-12)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_relaxation_goes_where_sweeps_go_and_below(start, method: str):
+    model = jt.tube_model(TUBE, CELLS)
+    swept = jt.anneal(start, TUBE, sweeps=20, temperature=0.0, model=model)
+    heard: list[float] = []
+    result = jt.relax(start, model, method, steps=12, callback=lambda record, place: heard.append(record.energy))
+    energies = [record.energy for record in result.history]
+    assert heard == energies and energies == sorted(energies, reverse=True)
+    assert result.energy < swept.energies[-1] < 0.5 * energies[0]
+    again, _ = WITH_GRADIENT(result.positions, model, jt.NeighborList.allocate(result.positions, TUBE), "draft")
+    assert float(again) == pytest.approx(result.energy, rel=1e-5)  # lists held
+
+
+def test_relaxation_ends_and_refuses():
+    place = TUBE.random_positions(jax.random.key(1), CELLS)
+    model = jt.tube_model(TUBE, CELLS)
+    ended = jt.relax(place, model, steps=5, callback=lambda *_: True)
+    assert len(ended.history) == 1 and ended.message == "ended by the callback"
+    np.testing.assert_array_equal(ended.positions, place)
+    with pytest.raises(ValueError, match="unknown method 'newton'"):
+        jt.relax(place, model, "newton")
+    with pytest.raises(ValueError, match="cells"):
+        jt.relax(place[:-1], model)
