@@ -116,7 +116,9 @@ def test_mh_and_is_mh_decide_alike(bench) -> None:
     assert 0 < info.accepted < CELLS
     np.testing.assert_array_equal(together.place.axial, alone.place.axial)
     np.testing.assert_array_equal(together.place.angle, alone.place.angle)
-    np.testing.assert_allclose(together.volume, alone.volume, rtol=1e-10)  # float64, summed in another order
+    np.testing.assert_allclose(
+        together.sizes.volume, alone.sizes.volume, rtol=1e-10
+    )  # float64, summed in another order
 
 
 def test_colliding_moves_are_put_off_and_the_balance_holds(bench) -> None:

@@ -83,8 +83,9 @@ class Round(NamedTuple):
 
 def gather_round(movers: Array, place: BackboneCoords, proposed: BackboneCoords, near: Neighborhoods) -> Round:
     """The data of a round's moves, gathered once."""
-    cells = fusion_barrier(lambda: take_rows(near.around, movers), movers)
-    posts_of = fusion_barrier(lambda: (pick(place, cells), pick(place, movers), pick(proposed, movers)), movers)
+    truth = movers[0] < len(near.around)
+    cells = fusion_barrier(lambda: take_rows(near.around, movers), truth)
+    posts_of = fusion_barrier(lambda: (pick(place, cells), pick(place, movers), pick(proposed, movers)), truth)
     return Round(movers, jnp.concatenate([cells, movers[:, None]], axis=1), *posts_of)
 
 
@@ -111,7 +112,8 @@ def find_changed(
         rivals = RelativeCoords(apart / 2 - SLACK * tube.basal_radius, 0.5 / apart, versine, sine)
         return rivals, gap > 0, jnp.abs(gap) <= floor
 
-    now, then = (fusion_barrier(lambda at=at: against(at), moves.movers) for at in (moves.before, moves.after))
+    truth = moves.movers[0] < len(state.wide)
+    now, then = (fusion_barrier(lambda at=at: against(at), truth) for at in (moves.before, moves.after))
 
     def undercuts(rivals: RelativeCoords, is_ahead: Array) -> Array:
         meets = crossing(grid, jax.tree.map(lambda column: column.reshape(-1, 1), rivals), tube)
@@ -165,7 +167,9 @@ def pack(chosen: Bool[Array, "..."], early: Bool[Array, "..."], size: int) -> In
     row = 64  # within which both counts fit into one number
     chosen, early = chosen.ravel(), early.ravel()
     spare = (0, -chosen.size % row)
-    kind = fusion_barrier(lambda: jnp.pad(jnp.where(chosen, jnp.where(early, 128.0, 1.0), 0.0), spare), chosen)
+    kind = fusion_barrier(
+        lambda: jnp.pad(jnp.where(chosen, jnp.where(early, 128.0, 1.0), 0.0), spare), chosen[0] <= size
+    )
     kind = kind.reshape(-1, row)
     upto = jnp.matmul(kind, jnp.triu(jnp.ones((row, row), kind.dtype)), precision=jax.lax.Precision.HIGHEST)
     last = upto[:, -1].astype(jnp.int32)
@@ -179,7 +183,7 @@ def pack(chosen: Bool[Array, "..."], early: Bool[Array, "..."], size: int) -> In
         return jnp.where(kind > 0, rank, size)
 
     places = jnp.arange(kind.size, dtype=jnp.int32)
-    return jnp.zeros(size, jnp.int32).at[fusion_barrier(ranks, chosen).ravel()].set(places, **SCATTER)
+    return jnp.zeros(size, jnp.int32).at[fusion_barrier(ranks, chosen[0] <= size).ravel()].set(places, **SCATTER)
 
 
 def measure_changes(

@@ -92,12 +92,12 @@ def lines_in_frame(lines: Lines, dtype: np.dtype) -> LineFrame:
     return LineFrame(radius, turned, sagitta_of(radius, turned))
 
 
-def window_in_frame(lines: Lines, dtype: np.dtype, shift: Int[Array, "cells"]) -> LineFrame:
+def window_in_frame(lines: Lines, dtype: np.dtype, shift: Int[Array, "cells"], truth: Array) -> LineFrame:
     """The lines round each backbone, [lines, cells], in windows onward: those of the middle one, turned."""
     middle, turn = lines_in_frame(lines, dtype), lines.turn(dtype, shift)
-    onward = fusion_barrier(lambda: jax.lax.complex(jnp.cos(turn), jnp.sin(turn)), turn)
-    turned = fusion_barrier(lambda: middle.turned * onward[lines.layer], turn)
-    return LineFrame(middle.radius, turned, fusion_barrier(lambda: sagitta_of(middle.radius, turned), turn))
+    onward = fusion_barrier(lambda: jax.lax.complex(jnp.cos(turn), jnp.sin(turn)), truth)
+    turned = fusion_barrier(lambda: middle.turned * onward[lines.layer], truth)
+    return LineFrame(middle.radius, turned, fusion_barrier(lambda: sagitta_of(middle.radius, turned), truth))
 
 
 def turned_in_frame(radius: Array, turn: Array, own: BackboneCoords) -> LineFrame:

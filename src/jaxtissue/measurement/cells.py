@@ -54,11 +54,12 @@ def measure_window(
     Each in the window `shift` windows onward. `first` tells the candidates with lower numbers than the cell:
     at equal heights these are behind. Walls with a candidate count by its `weights`, or all by 1.
     """
-    dtype, ends = own.axial.dtype, jnp.stack([own.axial, tube.length - own.axial])
-    grid = window_in_frame(lines, dtype, shift)
-    rivals = fusion_barrier(lambda: coords_by_side(own, others, first, tube), ends)
-    by = bounding_neighbor(grid, rivals, ends, tube)
-    wall = walls(by, rivals, ends, grid, tube)
+    dtype, truth = own.axial.dtype, own.axial[0] > -1
+    ends = jnp.stack([own.axial, tube.length - own.axial])
+    grid = window_in_frame(lines, dtype, shift, truth)
+    rivals = fusion_barrier(lambda: coords_by_side(own, others, first, tube), truth)
+    by = bounding_neighbor(grid, rivals, ends, tube, truth)
+    wall = walls(by, rivals, ends, grid, tube, truth)
     if weights is not None:
         wall = wall._replace(area=wall.area * take_rows(weights.ravel(), facing(by)))
     inside, step = wall.reach[:, 0] + wall.reach[:, 1] > 0, lines.step(dtype, shift)
@@ -66,7 +67,7 @@ def measure_window(
     bears = strip[1:] | strip[:-1]
     edges = np.stack([lines.number == sign * np.array(lines.half)[lines.layer] for sign in (-1, 1)])
     at_end = ((by == BOUNDARY) & (inside & bears)[:, None]).any(axis=(0, 1))
-    (volume, area), *on_surfaces = integrate(wall, step, lines)
+    (volume, area), *on_surfaces = integrate(wall, step, lines, truth)
     areas, perimeters = zip(*on_surfaces, strict=True) if on_surfaces else 2 * [(None, None)]
     sizes = CellGeometry(volume, area, *areas, *perimeters, touches_end=at_end)
     # a product, since a reduction would run one number at a time
@@ -74,7 +75,7 @@ def measure_window(
     return Window(sizes, jnp.where(bears[:, None], wall.reach, -jnp.inf), by, onward)
 
 
-def integrate(wall: Walls, step: Array, lines: Lines, smooth: bool = False) -> list[tuple[Array, Array]]:
+def integrate(wall: Walls, step: Array, lines: Lines, truth: Array, smooth: bool = False) -> list[tuple[Array, Array]]:
     """Volume and lateral area, and area and perimeter on each surface among the lines: sums over strips.
 
     Sums are products with the weights of the lines: as reductions they would run one number at a time.
@@ -83,7 +84,7 @@ def integrate(wall: Walls, step: Array, lines: Lines, smooth: bool = False) -> l
 
     def summed(rows: slice, weights: Array, tilt: Array) -> tuple[Array, Array]:
         part = jax.tree.map(lambda table: table[rows], wall)
-        sizes = fusion_barrier(lambda: strips(part, tilt[rows], step[rows], smooth), step)
+        sizes = fusion_barrier(lambda: strips(part, tilt[rows], step[rows], smooth), truth)
         weights = (weights * radius)[rows][:-1].astype(sizes.dtype)
         total = jnp.matmul(weights, sizes, precision=jax.lax.Precision.HIGHEST)
         return total.real, total.imag

@@ -18,7 +18,6 @@ from jaxtissue.measurement.adhesion import Adhesion
 from jaxtissue.measurement.axial_lines import (
     LEVEL,
     BackboneCoords,
-    RelativeCoords,
     backbone_coords,
     coords_by_side,
     pick,
@@ -76,10 +75,11 @@ def find_windows(
         others = take_rows(lists, items).transpose(2, 1, 0)
         own = pick(table, items)
         ends = jnp.stack([own.axial, tube.length - own.axial])
-        grid = window_in_frame(lines, dtype, shift)
+        truth = own.axial[0] > -1
+        grid = window_in_frame(lines, dtype, shift, truth)
         rivals = coords_by_side(own, pick(table, others), others < items, tube)
-        by = bounding_neighbor(grid, rivals, ends, tube)
-        reach = walls(by, rivals, ends, grid, tube).reach
+        by = bounding_neighbor(grid, rivals, ends, tube, truth)
+        reach = walls(by, rivals, ends, grid, tube, truth).reach
         inside, step = reach[:, 0] + reach[:, 1] > 0, lines.step(dtype, shift)
         strip = jnp.pad((inside[1:] | inside[:-1]) & (step[:-1] > 0), ((1, 1), (0, 0)))
         onward = edges @ (inside & (strip[1:] | strip[:-1])).astype(dtype) > 0
@@ -107,12 +107,14 @@ def smooth_sizes(
         cells = jnp.minimum(items, n - 1)
         own, here = pick(table, cells), rival != BOUNDARY
         others = pick(table, jnp.where(here, rival, cells))
-        grid = window_in_frame(lines, positions.dtype, shift)
         ends = jnp.stack([own.axial, tube.length - own.axial])
-        wall = wall_forms(~here, _facing_coords(own, others, here, tube), ends, grid, tube)
+        truth = own.axial[0] > -1
+        grid = window_in_frame(lines, positions.dtype, shift, truth)
+        half, turn = _facing_coords(own, others, here, tube)
+        wall = wall_forms(~here, half, turn, ends, grid, tube, smooth=True)
         if adhesion is not None:
             wall = wall._replace(area=wall.area * adhesion.between(cells, jnp.where(here, rival, cells)))
-        return None, integrate(wall, lines.step(positions.dtype, shift), lines, smooth=True)
+        return None, integrate(wall, lines.step(positions.dtype, shift), lines, truth, smooth=True)
 
     _, found = jax.lax.scan(jax.checkpoint(block), None, (windows.item, windows.shift, windows.rival))
     cells = windows.item.ravel()
@@ -122,10 +124,13 @@ def smooth_sizes(
     return CellGeometry(*sizes, *surfaces[::2], *surfaces[1::2])
 
 
-def _facing_coords(own: BackboneCoords, others: BackboneCoords, here: Array, tube: Tube) -> RelativeCoords:
-    """The neighbors that bound cells, [lines, 2, cells]; where there is none, anything whose derivatives are finite."""
+def _facing_coords(own: BackboneCoords, others: BackboneCoords, here: Array, tube: Tube) -> tuple[Array, Array]:
+    """Half the distance along the axis and the turn of the neighbors that bound cells, [lines, 2, cells].
+
+    Where there is none, they are anything whose derivatives are finite.
+    """
     gap, (versine, sine) = others.axial - own.axial, turn_between(own, others)
     root = jnp.sqrt(jnp.where(here & (versine > LEAST), 2 * versine, 1))
     level = jnp.where(here & (versine > LEAST), LEVEL * tube.apical_radius * root, 0)
     half = jnp.where(here, jnp.maximum(jnp.abs(gap), level), 1) / 2
-    return RelativeCoords(half, 0.25 / half, versine, sine)
+    return half, jax.lax.complex(versine, sine)

@@ -41,7 +41,9 @@ class Walls(NamedTuple):
         return self.tangent.imag
 
 
-def bounding_neighbor(grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube) -> Int[Array, "lines 2 cells"]:
+def bounding_neighbor(
+    grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube, truth: Array
+) -> Int[Array, "lines 2 cells"]:
     """The candidate that stops each cell on each line, behind and ahead, or END for the tube.
 
     The candidate's number rides in the lowest bits of its reach, so that one value is carried along (two
@@ -68,14 +70,14 @@ def bounding_neighbor(grid: LineFrame, rivals: RelativeCoords, ends: Array, tube
         chunks = -(-candidates // CHUNK)
         for part in np.array_split(np.arange(candidates), chunks):
             some = jax.tree.map(lambda table, at=slice(part[0], part[-1] + 1): table[at], rivals)
-            least = fusion_barrier(lambda least=least, some=some, at=part[0]: nearer(least, some, at), ends)
+            least = fusion_barrier(lambda least=least, some=some, at=part[0]: nearer(least, some, at), truth)
     else:
         tables = in_chunks(rivals)
         chunks, length = tables.half.shape[:2]
         first = length * jnp.arange(chunks, dtype=integer)
 
         def more(least: Array, some: tuple[RelativeCoords, Array]) -> tuple[Array, None]:
-            return fusion_barrier(lambda: nearer(least, *some), ends), None
+            return fusion_barrier(lambda: nearer(least, *some), truth), None
 
         least, _ = jax.lax.scan(more, least, (tables, first))
     winner = (recast(least, integer) & ((1 << bits) - 1)).astype(jnp.int32)
@@ -95,7 +97,7 @@ def in_chunks(rivals: RelativeCoords) -> RelativeCoords:
     return RelativeCoords(*padded)
 
 
-def least_reach(grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube) -> Array:
+def least_reach(grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube, truth: Array) -> Array:
     """The reach of each cell on each line, behind and ahead, [lines, 2, cells], as in its `walls`."""
     line = jax.tree.map(lambda table: table[:, None], grid)
 
@@ -107,13 +109,13 @@ def least_reach(grid: LineFrame, rivals: RelativeCoords, ends: Array, tube: Tube
                 nearest = smaller(crossing(line, rival, tube), nearest)
             return nearest
 
-        return fusion_barrier(compare, ends), None
+        return fusion_barrier(compare, truth), None
 
     start = jnp.broadcast_to(ends, (len(grid.z), *ends.shape))
     return jax.lax.scan(nearer, start, in_chunks(rivals))[0]
 
 
-def walls(by: Array, rivals: RelativeCoords, ends: Array, grid: LineFrame, tube: Tube) -> Walls:
+def walls(by: Array, rivals: RelativeCoords, ends: Array, grid: LineFrame, tube: Tube, truth: Array) -> Walls:
     """Reach, slope and tilt of the walls that end each cell, against the rival there.
 
     A rival's turn is one complex number, versine + i sine: gathering two real ones takes twice as long. Walls
@@ -122,45 +124,49 @@ def walls(by: Array, rivals: RelativeCoords, ends: Array, grid: LineFrame, tube:
     end, at = by == BOUNDARY, facing(by)
 
     def there(table: Array) -> Array:
-        return fusion_barrier(lambda: take_rows(table.ravel(), at), ends)
+        return fusion_barrier(lambda: take_rows(table.ravel(), at), truth)
 
     turn, half = there(jax.lax.complex(rivals.versine, rivals.sine)), there(rivals.half)
-    rival = RelativeCoords(half, 0.25 / half, turn.real, turn.imag)
-    return wall_forms(end, rival, ends, grid, tube, is_level(rivals, tube).any())
+    level = is_level(rivals, tube).any()
+
+    def forms(some_level: bool) -> Walls:
+        return wall_forms(end, half, turn, ends, grid, tube, some_level)
+
+    return jax.lax.cond(level, lambda: forms(True), lambda: forms(False))
 
 
 def wall_forms(
     end: Bool[Array, "lines 2 cells"],
-    rival: RelativeCoords,
+    half: Array,
+    turn: Complex[Array, "lines 2 cells"],
     ends: Array,
     grid: LineFrame,
     tube: Tube,
-    level: Bool[Array, ""] | None = None,
+    some_level: bool = True,
+    smooth: bool = False,
 ) -> Walls:
-    """The walls against the rivals [lines, 2, cells] that bound the cells, or against the tube's ends.
+    """The walls against rivals [lines, 2, cells], or against the tube's ends.
 
-    `level` tells whether any wall may be level; if None, it is looked for everywhere.
+    Rivals are given by half their distance along the axis, and versine + i sine of their angle. If `some_level`, walls
+    that are level are looked for; if `smooth`, so that derivatives stay finite.
     """
     line = jax.tree.map(lambda table: table[:, None], grid)
-
-    def wall(some_level: bool) -> Walls:
-        per_gap = 2 * rival.slant
-        reach, sagitta = crossing(line, rival, tube), line.sagitta_from(rival)
-        foot_depth, own_sunk = smaller(sagitta, line.radius - tube.apical_radius), line.foot_depth(tube)
-        slope = ((line.radius - foot_depth) * line.across(rival) - (line.radius - own_sunk) * line.y) * per_gap
-        # the feet's s z = (r - m) (r - g), less the common r^2
-        lower = line.radius * (own_sunk + line.sagitta - foot_depth - sagitta)
-        tilt = (lower + foot_depth * sagitta - own_sunk * line.sagitta) * per_gap
-        if some_level:
-            slope, tilt = towards_plane(rival, line, reach, (slope, tilt), tube)
-        slope = jnp.where(end, 0, slope)
-        per_square = 1 / line.radius**2
-        area = jnp.sqrt(1 + (slope**2 + tilt**2) * per_square)
-        edge = jnp.sqrt(1 + slope**2 * per_square)
-        tangent = jax.lax.complex(jnp.where(end, ends, reach), slope)
-        return Walls(tangent, *(jnp.where(end, 0, size) for size in (area, edge)))
-
-    return wall(True) if level is None else jax.lax.cond(level, lambda: wall(True), lambda: wall(False))
+    per_gap = 0.5 / half
+    rival = RelativeCoords(half, per_gap / 2, turn.real, turn.imag)
+    reach, sagitta = crossing(line, rival, tube), line.sagitta_from(rival)
+    foot_depth, own_sunk = smaller(sagitta, line.radius - tube.apical_radius), line.foot_depth(tube)
+    slope = ((line.radius - foot_depth) * line.across(rival) - (line.radius - own_sunk) * line.y) * per_gap
+    # the feet's s z = (r - m) (r - g), less the common r^2
+    lower = line.radius * (own_sunk + line.sagitta - foot_depth - sagitta)
+    tilt = (lower + foot_depth * sagitta - own_sunk * line.sagitta) * per_gap
+    if some_level:
+        slope, tilt = towards_plane(rival, line, reach, (slope, tilt), tube, smooth)
+    slope = jnp.where(end, 0, slope)
+    per_square = 1 / line.radius**2
+    area = jnp.sqrt(1 + (slope**2 + tilt**2) * per_square)
+    edge = jnp.sqrt(1 + slope**2 * per_square)
+    tangent = jax.lax.complex(jnp.where(end, ends, reach), slope)
+    return Walls(tangent, *(jnp.where(end, 0, size) for size in (area, edge)))
 
 
 def facing(by: Int[Array, "lines 2 cells"]) -> Int[Array, "lines 2 cells"]:
@@ -175,7 +181,7 @@ def is_level(rivals: RelativeCoords, tube: Tube) -> Array:
 
 
 def towards_plane(
-    rival: RelativeCoords, line: LineFrame, reach: Array, slopes: tuple[Array, Array], tube: Tube
+    rival: RelativeCoords, line: LineFrame, reach: Array, slopes: tuple[Array, Array], tube: Tube, smooth: bool
 ) -> tuple[Array, Array]:
     """Slope and tilt, of walls that are level: all but the radial plane half way between two backbones.
 
@@ -185,9 +191,10 @@ def towards_plane(
     z, y = line.radius - line.sagitta_from(rival), line.across(rival)
     level = is_level(rival, tube)
     tangent = (line.y * z + line.z * y) / larger(line.radius**2 + line.z * z - line.y * y, 1e-12)
-    aside = arctan(jnp.where(level, tangent, 0))
+    aside = arctan(jnp.where(level, tangent, 0) if smooth else tangent)
     is_aside = jnp.abs(aside) > 1e-3
-    slope = jnp.where(level & is_aside, (reach - rival.half) / jnp.where(is_aside, aside, 1), slope)
+    secant = (reach - rival.half) / (jnp.where(is_aside, aside, 1) if smooth else aside)
+    slope = jnp.where(level & is_aside, secant, slope)
     return slope, jnp.where(level, 0, tilt)
 
 

@@ -200,6 +200,8 @@ def _descend(
     for step in range(steps + 1):
         seconds = time.perf_counter() - begin - slope.compiling
         yield RelaxRecord(step, slope.evaluations, energy, float(np.linalg.norm(gradient)), seconds), place
+        if step == steps:
+            return
         while True:
             low, high = (place * slope.units + side * reach * width for side in (-1, 1))
             low[:, 0], high[:, 0] = np.maximum(low[:, 0], 0), np.minimum(high[:, 0], float(tube.length))

@@ -280,10 +280,10 @@ def check_lists(
         cells = jnp.minimum(which, n - 1)
         numbers = lists[cells].transpose(2, 1, 0)
         own, others = pick(place, cells), pick(place, numbers)
-        ends = jnp.stack([own.axial, tube.length - own.axial])
-        rivals = fusion_barrier(lambda: coords_by_side(own, others, numbers < cells, tube), ends)
-        grid = fusion_barrier(lambda: turned_in_frame(radius, turn, own), ends)
-        length = least_reach(grid, rivals, ends, tube).sum(axis=1)
+        ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
+        rivals = fusion_barrier(lambda: coords_by_side(own, others, numbers < cells, tube), truth)
+        grid = fusion_barrier(lambda: turned_in_frame(radius, turn, own), truth)
+        length = least_reach(grid, rivals, ends, tube, truth).sum(axis=1)
         is_far = ((length > 0) & (grid.z < near)).any(axis=0)
         spare = jnp.where(which < n, jnp.maximum(length, 0) - tube.length / n, 0)
         return spare.sum(axis=1), is_far

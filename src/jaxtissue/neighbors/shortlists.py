@@ -69,15 +69,15 @@ def clearance(
         which = start + jnp.arange(width)
         those = take_rows(lists, which).transpose(2, 1, 0)
         own, others = pick(place, which), pick(place, those)
-        ends = jnp.stack([own.axial, tube.length - own.axial])
-        rivals, is_ahead = fusion_barrier(lambda: relative_coords(own, others, those < which, tube), ends)
-        here = fusion_barrier(lambda: jnp.where(is_ahead == jnp.array([False, True])[:, None], 0.0, FAR), ends)
+        ends, truth = jnp.stack([own.axial, tube.length - own.axial]), own.axial[0] > -1
+        rivals, is_ahead = fusion_barrier(lambda: relative_coords(own, others, those < which, tube), truth)
+        here = fusion_barrier(lambda: jnp.where(is_ahead == jnp.array([False, True])[:, None], 0.0, FAR), truth)
 
         def nearer(closest: Array, at: LineFrame) -> tuple[Array, None]:
-            meets = fusion_barrier(lambda: crossing(at, rivals, tube), ends)
+            meets = fusion_barrier(lambda: crossing(at, rivals, tube), truth)
 
-            first = fusion_barrier(lambda: lowest_above(-jnp.inf, meets, here, ends), ends)
-            second = fusion_barrier(lambda: lowest_above(first, meets, here, ends), ends)
+            first = fusion_barrier(lambda: lowest_above(-jnp.inf, meets, here, ends), truth)
+            second = fusion_barrier(lambda: lowest_above(first, meets, here, ends), truth)
 
             def nearest() -> Array:
                 z, y = at.radius - at.sagitta_from(rivals), at.across(rivals)
@@ -87,7 +87,7 @@ def clearance(
                 past = larger(meets - second, 0.0) ** 2 + STAYS * (meets - first) ** 2 + lacking**2
                 return smaller(past * (2 * rivals.half) ** 2 / larger(speed, TINY), closest)
 
-            return fusion_barrier(nearest, ends), None
+            return fusion_barrier(nearest, truth), None
 
         closest, _ = jax.lax.scan(nearer, jnp.full(rivals.half.shape, jnp.inf, dtype), grid)
         beyond = larger(jnp.array([[1], [-1]]) * (others.axial - own.axial), 0.0)  # not yet on that side
