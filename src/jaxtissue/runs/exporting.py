@@ -18,6 +18,7 @@ from jaxtissue.system.files import make_folder
 
 Writer = Callable[[TissueRecord, Path], list[Path]]
 Spacing = tuple[float, float, float]
+OWN_SUFFIXES = (".vtu", ".ply", ".stl")  # of what exported folders hold; others are not deleted
 
 
 def _write_csv(tissue: TissueRecord, folder: Path) -> list[Path]:
@@ -60,6 +61,11 @@ def export_tissue(
             for part in write(tissue, Path(temporary)):
                 target = folder / part.name
                 if target.is_dir():
+                    foreign = [path.name for path in target.iterdir() if path.suffix not in OWN_SUFFIXES]
+                    if foreign or not part.is_dir():
+                        raise ValueError(
+                            f"{target} holds {foreign[:1] or 'files'}, which no export wrote; take another --out"
+                        )
                     shutil.rmtree(target)
                 os.replace(part, target)
                 written.append(target)
