@@ -19,7 +19,7 @@ def write_vtk(tissue: TissueRecord, folder: Path) -> list[Path]:
     pyvista = optional("pyvista", "viz", "the format vtu")
     columns = {name: column for name, column in tissue.columns.items() if np.asarray(column).dtype.kind in "iufb"}
     parts = {
-        "cells.vtu": closed_cells(pyvista, tissue.meshes, {name: columns[name] for name in SHOWN}),
+        "cells.vtu": closed_cells(pyvista, tissue.meshes, {name: columns[name] for name in SHOWN if name in columns}),
         "walls.vtp": walls(pyvista, tissue.meshes),
         "backbones.vtp": backbones(pyvista, tissue, columns),
     }

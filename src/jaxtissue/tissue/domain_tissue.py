@@ -90,7 +90,8 @@ def measure_domain_tissue(
     sizes, defect = found.sizes, tiling_defect(domain, found)
     errors = [None, None]
     if refine:
-        unknown = jnp.where(sizes.is_cut, 1.0, defect)  # of the cell itself
+        # of the cell itself; one rule alone does not show its error
+        unknown = jnp.where(sizes.is_cut | (len(sizes.volume) == 1), 1.0, defect)
         errors = [
             SAFETY * jnp.abs(rules[0] - rules[-1]) + unknown * jnp.abs(rules[0])
             for rules in (sizes.volume, sizes.lateral_area)
