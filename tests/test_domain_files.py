@@ -9,6 +9,9 @@ import pytest
 import jaxtissue as jt
 from jaxtissue.cli.commands import main
 from jaxtissue.geometry.domain_files import flag, load_tube, number, read_domain, save_domain, several
+from jaxtissue.geometry.domain_positions import column_names
+from jaxtissue.runs import storage
+from jaxtissue.runs.backbone_files import read_backbones
 
 pytestmark = pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
 SIZES = {"shape": "tube", "length": 12, "apical_radius": 2, "basal_radius": 4}
@@ -112,7 +115,7 @@ def test_commands_take_the_file_in_place_of_the_sizes(tmp_path, backbones, capsy
         jt.Fold(8, 4, 0.5, 4, 0.5),
     ],
 )
-def test_every_shape_is_written_and_read(tmp_path, domain):
+def test_every_shape_is_written_and_read_with_its_backbones(tmp_path, domain):
     save_domain(domain, tmp_path / "domain.json")
     again = jt.load_domain(tmp_path / "domain.json")
     assert type(again) is type(domain)
@@ -120,3 +123,16 @@ def test_every_shape_is_written_and_read(tmp_path, domain):
     assert again.volume == pytest.approx(domain.volume, rel=1e-12)
     with pytest.raises(ValueError, match="only a tube with ends can be taken here"):
         load_tube(tmp_path / "domain.json")
+    place, table = np.random.default_rng(0).uniform(0.1, 0.9, (5, len(domain.columns))), tmp_path / "backbones.csv"
+    storage.write_backbones(table, place, list("abcde"), column_names(domain))
+    assert table.read_text().startswith(",".join(domain.columns))
+    read = read_backbones(table, domain)
+    size = np.linalg.norm(place, axis=1, keepdims=True) if "nx" in domain.columns else 1
+    np.testing.assert_allclose(read.positions, place / size, rtol=1e-15)  # unit vectors are normalized
+    assert read.names == tuple("abcde")
+    if "angle" not in domain.columns:
+        with pytest.raises(ValueError, match="--degrees is for angles"):
+            read_backbones(table, domain, degrees=True)
+    table.write_text("axis,angles\n1,2\n")
+    with pytest.raises(ValueError, match=f"begin it with {','.join(domain.columns)}"):
+        read_backbones(table, domain)

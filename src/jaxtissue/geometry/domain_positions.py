@@ -13,9 +13,28 @@ from scipy.spatial import KDTree
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain, in_doubles
-from jaxtissue.geometry.positions import BACKBONES, ROUNDING, SAME, X64, Rows, as_numbers
+from jaxtissue.geometry.positions import BACKBONES, ROUNDING, SAME, X64, Rows, as_numbers, as_positions
+from jaxtissue.geometry.tube import Tube
 
 SHORT = 0.1  # the least length of a vector that is a direction
+
+
+def column_names(domain: Tube | Domain) -> tuple[str, ...]:
+    """The names of the coordinates of a position, as in tables of backbones."""
+    return domain.columns if isinstance(domain, Domain) else ("axial", "angle")
+
+
+def as_positions_on(
+    positions: Any,
+    domain: Tube | Domain,
+    dtype: DTypeLike | None = None,
+    rows: Rows = BACKBONES,
+    sizes: bool = True,
+) -> Float[np.ndarray, "n d"]:
+    """Positions on a tube or any other domain, by `as_positions` or `as_domain_positions`."""
+    if isinstance(domain, Domain):
+        return as_domain_positions(positions, domain, dtype, rows)
+    return as_positions(positions, domain, dtype, rows, sizes)
 
 
 @usual_modes()

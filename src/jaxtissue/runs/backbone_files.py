@@ -4,14 +4,16 @@ import csv
 import math
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxtissue.geometry.positions import Rows, as_positions
+from jaxtissue.geometry.domain_positions import as_positions_on, column_names
+from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.positions import Rows
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.runs.names import from_field
 
@@ -24,9 +26,12 @@ _NUMBER = re.compile(r"[+-]?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][+-]?[0-9]+)?")
 
 
 class BackboneTable(NamedTuple):
-    """Backbones as read: (axial, angle) in float64, angles in [0, 2 pi), and their names if they have any."""
+    """Backbones as read: their positions on the domain in float64, and their names if they have any.
 
-    positions: Float[np.ndarray, "n 2"]
+    On a tube these are (axial, angle), angles in [0, 2 pi).
+    """
+
+    positions: Float[np.ndarray, "n d"]
     names: tuple[str, ...] | None
 
 
@@ -47,8 +52,8 @@ class _Table(NamedTuple):
         return [row[at] for row in self.rows]
 
 
-def read_backbones(path: Path, tube: Tube, degrees: bool = False) -> BackboneTable:
-    """The backbones of a table with the columns `axial` and `angle`, and names of cells if it has any.
+def read_backbones(path: Path, domain: Tube | Domain, degrees: bool = False) -> BackboneTable:
+    """The backbones of a table with the domain's columns, as `axial` and `angle`, and names of cells if it has any.
 
     Fields are set apart by commas, semicolons or tabs; with the last two, numbers may have decimal commas.
     Headers may be in any case and carry units in brackets, such as `axial (um)`. Angles are radians, or with
@@ -58,20 +63,25 @@ def read_backbones(path: Path, tube: Tube, degrees: bool = False) -> BackboneTab
 
     Raises `ValueError`, naming file, line, value and fix, for a file that is empty or not UTF-8, a quote that
     is not closed or swallows rows, a missing column or one that is there twice, lines with fields too many,
-    what is no number, no cells, names that are empty or repeated, and positions that `as_positions` refuses.
+    what is no number, no cells, names that are empty or repeated, degrees for a domain without angles, and
+    positions that `as_positions_on` refuses.
     """
-    table = _read_table(path)
-    numbers = [_numbers(table, name) for name in ("axial", "angle")]
-    positions = np.stack(numbers, axis=-1)
-    positions[:, 1] = _radians(table, positions[:, 1], degrees)
+    columns = column_names(domain)
+    table = _read_table(path, columns)
+    positions = np.stack([_numbers(table, name) for name in columns], axis=-1)
+    if "angle" in columns:
+        positions[:, 1] = _radians(table, positions[:, 1], degrees)
+    elif degrees:
+        raise ValueError(f"--degrees is for angles, and {path} has {', '.join(columns)}; leave it out")
     rows = Rows(f"{path} ", "line", table.lines)
-    place = as_positions(positions, tube, np.float64, rows)
-    as_positions(place, tube, rows=rows, sizes=False)  # none are one in the precision JAX works in
-    place[:, 1] = np.mod(place[:, 1], 2 * math.pi) % (2 * math.pi)
+    place = as_positions_on(positions, domain, np.float64, rows)
+    as_positions_on(place, domain, rows=rows, sizes=False)  # none are one in the precision JAX works in
+    if "angle" in columns:
+        place[:, 1] = np.mod(place[:, 1], 2 * math.pi) % (2 * math.pi)
     return BackboneTable(place, _find_names(table))
 
 
-def _read_table(path: Path) -> _Table:
+def _read_table(path: Path, columns: Sequence[str]) -> _Table:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             text = file.read()
@@ -82,29 +92,29 @@ def _read_table(path: Path) -> _Table:
     physical = re.split("\r\n|\r|\n", text)
     first = next((line for line in physical if line.strip()), None)
     if first is None:
-        raise ValueError(f"{path} is empty; begin it with axial,angle and give one line per backbone")
+        raise ValueError(f"{path} is empty; begin it with {','.join(columns)} and give one line per backbone")
     separator = max(SEPARATORS, key=first.count)  # the first of those that are as frequent
     records = list(_records(path, physical, separator))
     header = [field.strip() for field in records[0][1]]
     brackets = [_UNIT.fullmatch(field) for field in header]
     names = [(unit[1] if unit else field).strip().lower() for unit, field in zip(brackets, header, strict=True)]
     units = [unit[2].lower() if unit else "" for unit in brackets]
-    for name in ("axial", "angle"):
+    for name in columns:
         if name not in names:
             found = f"{name!r} but {first.strip()!r}"
-            raise ValueError(f"{path} has no column {found}; begin it with axial,angle")
+            raise ValueError(f"{path} has no column {found}; begin it with {','.join(columns)}")
     for name in names:
         if name and names.count(name) > 1:
             raise ValueError(f"{path} has the column {name!r} twice in {first.strip()!r}; leave one out")
     if len(records) == 1:
-        raise ValueError(f"{path} has no cells; give one line axial,angle per backbone")
+        raise ValueError(f"{path} has no cells; give one line {','.join(columns)} per backbone")
     for line, row in records[1:]:
         if any(row[len(names) :]):
             raise ValueError(f"{path} line {line} has more than the {len(names)} columns; correct it")
         row += [""] * (len(names) - len(row))
     lines, rows = zip(*records[1:], strict=True)
     table = _Table(path, first.strip(), names, units, list(lines), list(rows), separator != ",")
-    _refuse_swallowed(table, physical, separator)
+    _refuse_swallowed(table, physical, separator, columns)
     return table
 
 
@@ -125,15 +135,15 @@ def _records(path: Path, physical: list[str], separator: str) -> Iterator[tuple[
             yield begin, row
 
 
-def _refuse_swallowed(table: _Table, physical: list[str], separator: str) -> None:
+def _refuse_swallowed(table: _Table, physical: list[str], separator: str, columns: Sequence[str]) -> None:
     """Raise `ValueError` for quotes that run over lines which are rows themselves."""
-    places = [table.names.index(name) for name in ("axial", "angle")]
+    places = [table.names.index(name) for name in columns]
     ends = [*table.lines[1:], len(physical) + 1]
     for begin, end in zip(table.lines, ends, strict=True):
         for line in range(begin + 1, end):
             fields = physical[line - 1].split(separator)
             numbers = [_parse(fields[at], table.comma) for at in places if at < len(fields)]
-            if len(numbers) == 2 and None not in numbers:
+            if len(numbers) == len(columns) and None not in numbers:
                 told = f"a quote that swallows line {line}, {physical[line - 1]!r}"
                 raise ValueError(f"{table.path} line {begin} has {told}; close it")
 

@@ -6,6 +6,8 @@ import numpy as np
 
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domain_files import load_tube, save_domain
+from jaxtissue.geometry.domain_positions import column_names
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
@@ -15,10 +17,10 @@ from jaxtissue.system.files import read_sealed
 DOMAIN, BACKBONES, MANIFEST, CHECKPOINT = "domain.json", "backbones.csv", "manifest.json", "checkpoint.npz"
 
 
-def save_tissue(folder: Path, tube: Tube, backbones: BackboneTable) -> None:
+def save_tissue(folder: Path, domain: Tube | Domain, backbones: BackboneTable) -> None:
     """Write the domain and the backbones of a tissue, as `read_tissue` finds them."""
-    save_domain(tube, folder / DOMAIN)
-    storage.write_backbones(folder / BACKBONES, *backbones)
+    save_domain(domain, folder / DOMAIN)
+    storage.write_backbones(folder / BACKBONES, *backbones, column_names(domain))
 
 
 def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) -> TissueRecord:

@@ -24,11 +24,15 @@ class Checkpoint(NamedTuple):
     rows: str
 
 
-def write_backbones(path: Path, positions: Float[ArrayLike, "n 2"], names: Sequence[str] | None = None) -> None:
-    """Write (axial, angle) positions, and names as `cell`, as `backbone_files.read_backbones` reads them."""
-    axial, angle = np.asarray(positions).T
-    columns = {"axial": axial, "angle": angle}
-    write_table(path, columns | ({"cell": np.array(names, dtype=object)} if names else {}))
+def write_backbones(
+    path: Path,
+    positions: Float[ArrayLike, "n d"],
+    names: Sequence[str] | None = None,
+    columns: Sequence[str] = ("axial", "angle"),
+) -> None:
+    """Write positions in a domain's columns, and names as `cell`, as `backbone_files.read_backbones` reads them."""
+    table = dict(zip(columns, np.asarray(positions).T, strict=True))
+    write_table(path, table | ({"cell": np.array(names, dtype=object)} if names else {}))
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
