@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import time
@@ -22,6 +23,8 @@ from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.quadrature import PRESETS
 from jaxtissue.runs import reports, storage
 from jaxtissue.runs.backbone_files import read_backbones
+from jaxtissue.runs.run_folders import read_tissue
+from jaxtissue.system.locks import alone
 from jaxtissue.topology import edges
 
 pytestmark = pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
@@ -493,6 +496,22 @@ def test_force_removes_only_what_a_run_writes(tmp_path):
     assert (folder / "notes.txt").read_text() == "mine"
     assert storage.load_checkpoint(folder / "checkpoint.npz").state.sweep == 1
     assert count_rows(folder / "sweeps.csv") == 2
+
+
+def test_force_leaves_nothing_of_another_tissue(annealed, tmp_path):
+    """What `export` and `view` read, and what they drew, is of the tissue that was measured last."""
+    folder = Path(shutil.copytree(annealed, tmp_path / "run"))
+    (tmp_path / "other.csv").write_text(GOOD)
+    (folder / "scutoid.png").touch()
+    sizes = ["--length", "10", "--apical-radius", "3", "--basal-radius", "5", "--no-contacts"]
+    assert main(["measure", str(tmp_path / "other.csv"), *sizes, "--out", str(folder), "--force"]) == 0
+    left = read_tissue(folder)
+    assert left.tube == Tube(10, 3, 5) and len(left.positions) == 3 and not left.history
+    old = {"manifest.json", "checkpoint.npz", "sweeps.csv", "contacts.csv", "energy.png", "scutoid.png"}
+    assert not old & {path.name for path in folder.iterdir()}
+    with alone(folder):
+        arguments = ["measure", str(tmp_path / "other.csv"), *sizes, "--out", str(folder), "--force"]
+        assert main(arguments) == 2 and len(read_tissue(folder).positions) == 3
 
 
 @pytest.mark.parametrize("told", [True, False])

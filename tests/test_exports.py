@@ -1,5 +1,6 @@
 """Exports, each read back by a library of its own, with sizes and units kept."""
 
+import dataclasses
 import json
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -192,6 +193,7 @@ def test_the_command_exports_what_measure_left(tmp_path, positions, capsys):
         (["--to", "pdf"], "argument --to: invalid choice: 'pdf'"),
         (["--to", "ome-tiff", "--spacing", "1e-5", "1", "1e-5"], "e+12 voxels; give a wider one"),
         (["--to", "pvd"], "pvd needs the sweeps of a run"),
+        (["--to", "csv", "--spacing", "1", "1", "1"], "--spacing is for ome-tiff"),
     ],
 )
 def test_what_cannot_be_exported_is_told_in_a_line(tmp_path, positions, capsys, arguments, told):
@@ -199,6 +201,26 @@ def test_what_cannot_be_exported_is_told_in_a_line(tmp_path, positions, capsys, 
     assert main(["export", str(tmp_path), *arguments, "--out", str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err
     assert told in error and error.count("\n") == 1
+
+
+def test_64_bits_tell_near_backbones_apart(tmp_path, capsys):
+    with jax.enable_x64(True):
+        save_tissue(tmp_path, TUBE, BackboneTable(np.array([[3, 0.5], [3, 0.5 + 1e-9], [1, 3]]), None))
+    try:
+        for more, code in (([], 2), (["--x64"], 0)):
+            arguments = ["export", str(tmp_path), "--to", "csv", "--out", str(tmp_path / f"out{code}")]
+            assert main([*arguments, *more]) == code
+    finally:
+        jax.config.update("jax_enable_x64", False)
+
+
+def test_a_cell_without_apical_area_has_no_ratio(tissue, recwarn):
+    sizes = tissue.connectivity.sizes
+    bare = sizes._replace(apical_area=np.where(np.arange(CELLS) == 2, 0, sizes.apical_area))
+    connectivity = dataclasses.replace(tissue.connectivity, sizes=bare)
+    other = TissueRecord(tissue.positions, TUBE)
+    other.__dict__.update(connectivity=connectivity, meshes=tissue.meshes)  # as if they were found
+    assert np.flatnonzero(np.isnan(other.columns["surface_ratio"])).tolist() == [2] and not recwarn.list
 
 
 def test_a_folder_without_a_run_is_named(tmp_path, capsys):

@@ -76,6 +76,7 @@ def test_the_command_draws_what_measure_left(tissue, tmp_path, capsys):
         (["--what", "movie"], "needs the sweeps of a run"),
         (["--what", "cell", "--cell", "16"], "give 0 to 15"),
         (["--out", str(tmp_path / "a.jpg")], "must end in .png"),
+        (["--what", "surfaces", "--cell", "3"], "--cell is for --what cell, scutoid, internal"),
     ):
         assert main(["view", str(tmp_path), *arguments]) == 2
         assert told in capsys.readouterr().err

@@ -188,6 +188,8 @@ def test_what_a_killed_process_left_is_swept(stopped, copy, tmp_path) -> None:
     for place in (folder, new):
         (place / ".cells.csv.somewhere-12.part").touch()
         (place / ".lock").touch()
+        (place / ".export.abc.part").mkdir()
+        (place / ".export.abc.part" / "cells.vtu").touch()
     assert main(["anneal", "--out", str(folder), "--resume", "--finish"]) == 0
     assert main([*SMALL, "--sweeps", "0", "--out", str(new)]) == 0  # killed before it had anything: no --force
     assert not [path for place in (folder, new) for path in place.glob(".*")]

@@ -31,13 +31,12 @@ from jaxtissue.runs.annealing import resume_annealing, run_annealing
 from jaxtissue.runs.distributed import Part, join, slurm_part
 from jaxtissue.runs.grids import AXES, Grid
 from jaxtissue.runs.reports import (
-    CONTACT_TABLES,
     compare_presets,
     contact_summary,
     tabulate_cells,
     write_contacts,
 )
-from jaxtissue.runs.run_folders import save_tissue
+from jaxtissue.runs.run_folders import CELLS, FILES, SUMMARY, save_tissue
 from jaxtissue.runs.settings import Settings, provenance
 from jaxtissue.system.files import check_folder, make_folder, write_json
 from jaxtissue.system.locks import alone
@@ -163,13 +162,14 @@ def measure(arguments: dict[str, Any]) -> int:
         place, model, arguments["resolution"], backbones.names, connectivity, arguments["tolerance"]
     )
     summary["seconds"] = time.perf_counter() - begun
-    make_folder(folder, CONTACT_TABLES)
-    save_tissue(folder, tube, backbones)
-    storage.write_table(folder / "cells.csv", columns)
-    if connectivity is not None:
-        write_contacts(folder, connectivity, columns if arguments["graph"] else None)
-        summary |= contact_summary(connectivity) | {"contact_seconds": tracing}
-    write_json(folder / "summary.json", summary)
+    with alone(folder):
+        make_folder(folder, FILES)
+        save_tissue(folder, tube, backbones)
+        storage.write_table(folder / CELLS, columns)
+        if connectivity is not None:
+            write_contacts(folder, connectivity, columns if arguments["graph"] else None)
+            summary |= contact_summary(connectivity) | {"contact_seconds": tracing}
+        write_json(folder / SUMMARY, summary)
     _print_summary(summary)
     return 0
 
@@ -234,6 +234,7 @@ def with_tissue(command: str, arguments: dict[str, Any]) -> int:
     """Export the tissue of a run, or draw it."""
     from jaxtissue.cli.tissue_commands import COMMANDS
 
+    _use_x64(arguments["x64"])
     return COMMANDS[command](arguments)
 
 

@@ -1,9 +1,11 @@
 """The commands that write or draw the tissue of a run."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from jaxtissue.runs.exporting import export_tissue
+from jaxtissue.runs.formats import OF_CELLS, picture_name
 from jaxtissue.runs.run_folders import read_tissue
 from jaxtissue.runs.viewing import LOOKED_AT, view_tissue
 from jaxtissue.system.files import check_folder
@@ -12,6 +14,8 @@ from jaxtissue.system.files import check_folder
 def export(arguments: dict[str, Any]) -> int:
     """Write the tissue of a run in the formats of other programs."""
     folder = arguments["out"]
+    if arguments["spacing"] and "ome-tiff" not in arguments["to"]:
+        raise ValueError("--spacing is for ome-tiff; add it to --to, or leave --spacing out")
     check_folder(folder, arguments["force"])
     tissue = read_tissue(arguments["run"], arguments["unit"])
     spacing = arguments["spacing"] and tuple(arguments["spacing"])
@@ -23,9 +27,11 @@ def export(arguments: dict[str, Any]) -> int:
 def view(arguments: dict[str, Any]) -> int:
     """Draw the tissue of a run."""
     what = arguments["what"]
-    path = arguments["out"] or arguments["run"] / f"{what}.{'gif' if what == 'movie' else 'png'}"
-    if path.suffix != (".gif" if what == "movie" else ".png"):
-        raise ValueError(f"--out {path} must end in {'.gif for a movie' if what == 'movie' else '.png'}; rename it")
+    path = arguments["out"] or arguments["run"] / picture_name(what)
+    if path.suffix != (suffix := Path(picture_name(what)).suffix):
+        raise ValueError(f"--out {path} must end in {suffix}{' for a movie' if what == 'movie' else ''}; rename it")
+    if arguments["cell"] is not None and what not in OF_CELLS:
+        raise ValueError(f"--cell is for --what {', '.join(OF_CELLS)}, not {what}; leave it out")
     tissue = read_tissue(arguments["run"], arguments["unit"], LOOKED_AT)
     view_tissue(tissue, what, path, arguments["cell"])
     print(path)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.cell_meshes import TOLERANCE, CellMeshes, mesh_cells
-from jaxtissue.meshes.shapes import tabulate_shapes
+from jaxtissue.meshes.shapes import ratio, tabulate_shapes
 from jaxtissue.topology.contacts import Contacts
 from jaxtissue.topology.statistics import Connectivity, find_connectivity, tabulate_connectivity
 
@@ -69,7 +69,7 @@ class TissueRecord:
         columns |= {"is_end": self.connectivity.is_end} | tabulate_connectivity(self.connectivity)
         columns |= tabulate_shapes(self.meshes, basal - apical) | tabulate_walls(self.connectivity.contacts)
         if sizes is not None:
-            columns["surface_ratio"] = sizes.basal_area / sizes.apical_area
+            columns["surface_ratio"] = ratio(sizes.basal_area, sizes.apical_area)
         return columns | ({"name": np.array(self.names, dtype=object)} if self.names else {})
 
 

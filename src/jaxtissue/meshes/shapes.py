@@ -21,7 +21,7 @@ def tabulate_shapes(meshes: CellMeshes, upward: Float[ArrayLike, "n 3"]) -> dict
         cell, and `tilt` the angle, in degrees, between the line through them and the backbone. `surface_area` is the
         area of the whole boundary A, `sphericity` is pi^(1/3) (6 V)^(2/3) / A, and `solidity` is V / volume of the
         convex hull. `aspect_ratio` is the longest / the shortest axis of the ellipsoid with the cell's second moments.
-        `surface_ratio` is basal / apical area.
+        `surface_ratio` is basal / apical area. What needs a surface that the cell has not is not a number.
 
     >>> from jaxtissue.geometry.tube import Tube
     >>> from jaxtissue.meshes.cell_meshes import mesh_cells
@@ -44,8 +44,17 @@ def tabulate_shapes(meshes: CellMeshes, upward: Float[ArrayLike, "n 3"]) -> dict
         "sphericity": np.cbrt(np.pi) * np.cbrt(6 * volume) ** 2 / boundary,
         "solidity": volume / hull,
         "aspect_ratio": _aspect_ratios(meshes, volume),
-        "surface_ratio": areas[1] / areas[0],
+        "surface_ratio": ratio(areas[1], areas[0]),
     }
+
+
+def ratio(over: Float[np.ndarray, " n"], under: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """A ratio, not a number where it would be one to nothing.
+
+    >>> ratio(np.array([1.0, 3.0]), np.array([2.0, 0.0])).tolist()
+    [0.5, nan]
+    """
+    return np.divide(over, under, out=np.full(np.shape(over), np.nan), where=np.asarray(under) > 0)
 
 
 def _of_cells(meshes: CellMeshes, values: Float[np.ndarray, " t"], inward: int = 1) -> Float[np.ndarray, " n"]:

@@ -14,7 +14,7 @@ from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.exports.vtk_files import write_series, write_vtk
 from jaxtissue.runs import storage
 from jaxtissue.runs.reports import printable_columns
-from jaxtissue.system.files import make_folder
+from jaxtissue.system.locks import alone
 
 Writer = Callable[[TissueRecord, Path], list[Path]]
 Spacing = tuple[float, float, float]
@@ -53,20 +53,24 @@ def export_tissue(
     Raises:
         ValueError: If a format needs a package that is not installed, more memory, or what the tissue has not.
     """
-    make_folder(folder)
+    with alone(folder, what="a run or an export"):
+        return [path for name in dict.fromkeys(formats) for path in _export(tissue, folder, name, spacing)]
+
+
+def _export(tissue: TissueRecord, folder: Path, name: str, spacing: Spacing | None) -> list[Path]:
+    """Write a tissue in one format."""
     written: list[Path] = []
-    for name in dict.fromkeys(formats):
-        write = partial(write_ome_tiff, spacing=spacing) if name == "ome-tiff" else WRITERS[name]
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".export.", suffix=".part") as temporary:
-            for part in write(tissue, Path(temporary)):
-                target = folder / part.name
-                if target.is_dir():
-                    foreign = [path.name for path in target.iterdir() if path.suffix not in OWN_SUFFIXES]
-                    if foreign or not part.is_dir():
-                        raise ValueError(
-                            f"{target} holds {foreign[:1] or 'files'}, which no export wrote; take another --out"
-                        )
-                    shutil.rmtree(target)
-                os.replace(part, target)
-                written.append(target)
+    write = partial(write_ome_tiff, spacing=spacing) if name == "ome-tiff" else WRITERS[name]
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".export.", suffix=".part") as temporary:
+        for part in write(tissue, Path(temporary)):
+            target = folder / part.name
+            if target.is_dir():
+                foreign = [path.name for path in target.iterdir() if path.suffix not in OWN_SUFFIXES]
+                if foreign or not part.is_dir():
+                    raise ValueError(
+                        f"{target} holds {foreign[:1] or 'files'}, which no export wrote; take another --out"
+                    )
+                shutil.rmtree(target)
+            os.replace(part, target)
+            written.append(target)
     return written

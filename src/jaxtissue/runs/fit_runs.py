@@ -10,11 +10,10 @@ from jaxtissue.images.image_files import read_image
 from jaxtissue.images.tissue_fit import TissueFit, fit_tissue
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import BackboneTable
-from jaxtissue.runs.run_folders import BACKBONES, DOMAIN, save_tissue
+from jaxtissue.runs.run_folders import CELLS, FILES, FIT, FRAME, save_tissue
 from jaxtissue.runs.settings import provenance
 from jaxtissue.system.files import make_folder, write_json
-
-FILES = (DOMAIN, BACKBONES, "frame.json", "cells.csv", "fit.json")
+from jaxtissue.system.locks import alone
 
 
 def run_fit(path: Path, spacing: Any, shape: str, folder: Path) -> dict[str, Any]:
@@ -30,12 +29,13 @@ def run_fit(path: Path, spacing: Any, shape: str, folder: Path) -> dict[str, Any
         raise ValueError(f"{path}: {error}") from error
     columns = fit.columns()
     report = fit.report | {"seconds": time.perf_counter() - begun}
-    make_folder(folder, FILES)
-    save_tissue(folder, fit.domain, BackboneTable(fit.positions, tuple(map(str, fit.labels.tolist()))))
-    write_json(folder / "frame.json", _frame(fit, read.unit))
-    storage.write_table(folder / "cells.csv", columns)
     about = {"image": str(path), "shape": shape, "spacing": read.spacing, "unit": read.unit}
-    write_json(folder / "fit.json", report | about | {"voxels": read.image.shape} | provenance())
+    with alone(folder):
+        make_folder(folder, FILES)
+        save_tissue(folder, fit.domain, BackboneTable(fit.positions, tuple(map(str, fit.labels.tolist()))))
+        write_json(folder / FRAME, _frame(fit, read.unit))
+        storage.write_table(folder / CELLS, columns)
+        write_json(folder / FIT, report | about | {"voxels": read.image.shape} | provenance())
     return report
 
 

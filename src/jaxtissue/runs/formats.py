@@ -3,3 +3,9 @@
 FORMATS = ("ome-tiff", "vtu", "pvd", "ply", "stl", "glb", "graphml", "csv", "parquet", "anndata")
 UNITS = ("nm", "um", "mm", "cm", "m")
 VIEWED = ("tissue", "exploded", "cell", "scutoid", "internal", "surfaces", "movie")
+OF_CELLS = ("cell", "scutoid", "internal")  # of these, the pictures of one cell that may be chosen
+
+
+def picture_name(what: str) -> str:
+    """The name of the file of a picture."""
+    return f"{what}.{'gif' if what == 'movie' else 'png'}"

@@ -19,6 +19,7 @@ from jaxtissue.dynamics.memory import tell_memory
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
 from jaxtissue.runs.reports import CONTACT_TABLES
+from jaxtissue.runs.run_folders import BACKBONES, CELLS, CHECKPOINT, FIGURES, FILES, INITIAL, MANIFEST, SWEEPS
 from jaxtissue.runs.settings import FORMAT, Settings, provenance, saved_settings
 from jaxtissue.system.files import (
     check_files,
@@ -29,11 +30,7 @@ from jaxtissue.system.files import (
     write_sealed,
 )
 
-FIGURES = ("energy.png", "volumes.png", "surfaces.png")
-INITIAL = "initial_backbones.csv"
-TABLES = (INITIAL, "backbones.csv", "cells.csv", "sweeps.csv")
-RESULTS = (*TABLES, *CONTACT_TABLES, *FIGURES)
-FILES = ("checkpoint.npz", "manifest.json", *RESULTS)
+RESULTS = (INITIAL, BACKBONES, CELLS, SWEEPS, *CONTACT_TABLES, *FIGURES)
 NEEDED = ("arguments", "cooling_sweeps", "compile_seconds", "files", "finished", "resumed")  # of a manifest
 AGAIN = "start again with --force"
 
@@ -61,12 +58,12 @@ class Run:
             return
         kept = np.array(list(self.kept)), np.stack(list(self.kept.values()))
         checkpoint = storage.Checkpoint(self.state, *kept, self.rows.hexdigest())
-        storage.save_checkpoint(self.folder / "checkpoint.npz", checkpoint)
+        storage.save_checkpoint(self.folder / CHECKPOINT, checkpoint)
 
     def write_manifest(self, **news: Any) -> None:
         """Write the manifest with what is new."""
         self.manifest |= news
-        write_sealed(self.folder / "manifest.json", self.manifest)
+        write_sealed(self.folder / MANIFEST, self.manifest)
 
     def checksums(self, *names: str) -> dict[str, str]:
         """Checksums of those of the files that are there."""
@@ -74,7 +71,7 @@ class Run:
 
     def cut(self) -> None:
         """Remove the rows of sweeps.csv that are not in the checkpoint."""
-        storage.cut_sweeps(self.folder / "sweeps.csv", self.state.sweep, self.rows.hexdigest())
+        storage.cut_sweeps(self.folder / SWEEPS, self.state.sweep, self.rows.hexdigest())
 
     def note_resumption(self) -> None:
         """Write into the manifest that the run goes on, and with what."""
@@ -106,7 +103,7 @@ def begin(
     manifest |= {"finished": None, "compile_seconds": 0.0, "resumed": []}
     run = Run(folder, settings, annealer, state, {0: state.positions}, names, manifest, hashlib.sha256())
     run.write_manifest(files=run.checksums(INITIAL))
-    with open_own(folder / "sweeps.csv", "w") as table:
+    with open_own(folder / SWEEPS, "w") as table:
         run.rows.update(storage.write_sweep(table, record))
         os.fsync(table.fileno())
     run.save()
@@ -115,7 +112,7 @@ def begin(
 
 def take_up(folder: Path, given: Mapping[str, Any], finish: bool) -> Run | None:
     """The run at its checkpoint; none where it is finished and not to be finished again."""
-    manifest = read_sealed(folder / "manifest.json", AGAIN)
+    manifest = read_sealed(folder / MANIFEST, AGAIN)
     settings = saved_settings(manifest, given, str(folder))
     if missing := [name for name in NEEDED if name not in manifest]:
         raise ValueError(f"{folder / 'manifest.json'} is damaged (it lacks {missing[0]!r}); {AGAIN}")
@@ -126,8 +123,8 @@ def take_up(folder: Path, given: Mapping[str, Any], finish: bool) -> Run | None:
         same = read_backbones(Path(given["backbones"]), settings.tube, settings.degrees)
         if same.names != initial.names or not np.array_equal(same.positions, initial.positions):
             raise ValueError(f"--backbones {given['backbones']} differs from the run to resume; leave it out")
-    checkpoint = storage.load_checkpoint(folder / "checkpoint.npz")
-    rows = storage.cut_sweeps(folder / "sweeps.csv", checkpoint.state.sweep, checkpoint.rows, keep=True)
+    checkpoint = storage.load_checkpoint(folder / CHECKPOINT)
+    rows = storage.cut_sweeps(folder / SWEEPS, checkpoint.state.sweep, checkpoint.rows, keep=True)
     if manifest["finished"] and settings.sweeps == manifest["arguments"]["sweeps"] and not finish:
         check_files(folder, manifest["files"], "write it anew with --resume --finish")
         return None

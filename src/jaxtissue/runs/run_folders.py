@@ -11,10 +11,20 @@ from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
+from jaxtissue.runs.formats import VIEWED, picture_name
+from jaxtissue.runs.reports import CONTACT_TABLES
 from jaxtissue.runs.settings import Settings
 from jaxtissue.system.files import read_sealed
 
 DOMAIN, BACKBONES, MANIFEST, CHECKPOINT = "domain.json", "backbones.csv", "manifest.json", "checkpoint.npz"
+INITIAL, SWEEPS, CELLS, SUMMARY = "initial_backbones.csv", "sweeps.csv", "cells.csv", "summary.json"
+FRAME, FIT = "frame.json", "fit.json"
+FIGURES = ("energy.png", "volumes.png", "surfaces.png")
+# all that commands leave in the folder of a tissue: another tissue there outdates it, whichever command brings it
+FILES = (
+    *(MANIFEST, CHECKPOINT, INITIAL, SWEEPS, DOMAIN, BACKBONES, CELLS, SUMMARY, FRAME, FIT),
+    *(*CONTACT_TABLES, *FIGURES, *map(picture_name, VIEWED)),
+)
 
 
 def save_tissue(folder: Path, domain: Tube | Domain, backbones: BackboneTable) -> None:

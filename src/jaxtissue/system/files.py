@@ -8,6 +8,7 @@ import math
 import os
 import platform
 import re
+import shutil
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -70,7 +71,10 @@ def remove_leftovers(folder: Path) -> None:
     """Remove what killed processes began to write in a folder; none may be at work there."""
     for path in list(folder.iterdir()) if folder.is_dir() else []:
         if path.name.endswith(".part") and _LEFTOVER.fullmatch(path.name):
-            path.unlink(missing_ok=True)
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
 
 
 @contextmanager
