@@ -14,7 +14,7 @@ import pytest
 from hypothesis import settings
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from matplotlib.figure import Figure
-from quick import ASKED, quick_options
+from quick import ASKED, SHORT_LOOPS, quick_settings
 
 from jaxtissue.compilation.batching import PROGRAMS
 from jaxtissue.geometry.tube import Tube
@@ -68,8 +68,8 @@ def compiling(replicas_as_alone: bool) -> Iterator[None]:
     """Compile quickly, here and in commands started by `quick.command`, and leave no program to others."""
     with pytest.MonkeyPatch.context() as patch:
         forget_programs()
-        for module, options in quick_options(replicas_as_alone).items():
-            patch.setattr(module, "options", options)
+        for module, name, value in quick_settings(replicas_as_alone):
+            patch.setattr(module, name, value)
         patch.setenv(ASKED, "replicas as alone" if replicas_as_alone else "quickest")
         patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
         jax.config.update("jax_disable_most_optimizations", True)
@@ -101,11 +101,14 @@ def quick_examples(request):
     if not isinstance(request.node, pytest.DoctestItem):
         yield
         return
-    forget_programs()
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    forget_programs()
-    jax.config.update("jax_disable_most_optimizations", False)
+    with pytest.MonkeyPatch.context() as patch:
+        forget_programs()
+        for module, name, value in SHORT_LOOPS:
+            patch.setattr(module, name, value)
+        jax.config.update("jax_disable_most_optimizations", True)
+        yield
+        forget_programs()
+        jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from jaxtissue.__main__ import run as run_command
 from jaxtissue.compilation import batching, fusion
 from jaxtissue.compilation.fusion import is_option
+from jaxtissue.measurement import walls
 from jaxtissue.neighbors import search
 from jaxtissue.tissue import measurer, refinement
 
@@ -18,6 +20,8 @@ ASKED = "JAXTISSUE_TESTS_COMPILE"  # the variable by which processes are told ho
 LEVEL = "xla_backend_optimization_level"
 # compiled in half of the time; a sweep takes a fifth longer, and replicas get other bits than alone
 QUICK: Options = {"xla_cpu_use_fusion_emitters": False}
+# candidates compared in loops that are unrolled less: two thirds of the time to compile
+SHORT_LOOPS = [(walls, "CHUNK", 4), (walls, "UNROLLED", 0)]
 # named as the installed command, by which it knows that signals are for it to answer
 RUN = f"""
 import sys
@@ -28,10 +32,10 @@ quick.run()
 """
 
 
-def quick_options(replicas_as_alone: bool) -> dict[ModuleType, Callable[..., Options]]:
-    """What is to stand for `options` in each module that compiles, where JAX is told not to optimize.
+def quick_settings(replicas_as_alone: bool) -> list[tuple[ModuleType, str, Any]]:
+    """What is to stand in each module that compiles, where JAX is told not to optimize: module, name, value.
 
-    With `replicas_as_alone`, what is compiled for replicas has the usual ones.
+    With `replicas_as_alone`, what is compiled for replicas has the usual options.
     """
     usual = fusion.options
 
@@ -40,7 +44,8 @@ def quick_options(replicas_as_alone: bool) -> dict[ModuleType, Callable[..., Opt
         return found | {name: value for name, value in QUICK.items() if is_option(name, value)}
 
     modules = {fusion, search, measurer, batching, refinement}
-    return dict.fromkeys(modules - {batching} if replicas_as_alone else modules, quick)
+    some = modules - {batching} if replicas_as_alone else modules
+    return [*((module, "options", quick) for module in some), *SHORT_LOOPS]
 
 
 def command(*arguments: object) -> list[str | bytes]:
@@ -52,8 +57,8 @@ def command(*arguments: object) -> list[str | bytes]:
 def compile_as_asked() -> None:
     """Compile as the test does that started this process."""
     if asked := os.environ.get(ASKED):
-        for module, options in quick_options(asked == "replicas as alone").items():
-            module.options = options  # type: ignore[attr-defined]
+        for module, name, value in quick_settings(asked == "replicas as alone"):
+            setattr(module, name, value)
 
 
 def meet(folder: Path, name: str, count: int) -> None:

@@ -1,8 +1,8 @@
 """jaxtissue: simulate and measure 3D epithelial tubes from their cells' backbones.
 
 >>> import jax, jaxtissue as jt
->>> tube = jt.Tube(length=20, apical_radius=1, basal_radius=10)
->>> positions = tube.random_positions(jax.random.key(0), 100)
+>>> tube = jt.Tube(length=12, apical_radius=1, basal_radius=3)
+>>> positions = tube.random_positions(jax.random.key(0), 40)
 >>> cells = jt.measure_tissue(positions, tube)
 >>> bool(abs(cells.volume.sum() / tube.volume - 1) < 1e-3)
 True

@@ -102,8 +102,7 @@ def smooth_sizes(
     """The sizes of all cells, differentiable in the positions, the tube and the weights of adhesion."""
     table, n = backbone_coords(positions), len(positions)
 
-    def block(_: None, window: tuple[Array, Array, Array]) -> tuple[None, list[tuple[Array, Array]]]:
-        items, shift, rival = window
+    def block(items: Array, shift: Array, rival: Array) -> list[tuple[Array, Array]]:
         cells = jnp.minimum(items, n - 1)
         own, here = pick(table, cells), rival != BOUNDARY
         others = pick(table, jnp.where(here, rival, cells))
@@ -114,9 +113,13 @@ def smooth_sizes(
         wall = wall_forms(~here, half, turn, ends, grid, tube, smooth=True)
         if adhesion is not None:
             wall = wall._replace(area=wall.area * adhesion.between(cells, jnp.where(here, rival, cells)))
-        return None, integrate(wall, lines.step(positions.dtype, shift), lines, truth, smooth=True)
+        return integrate(wall, lines.step(positions.dtype, shift), lines, truth, smooth=True)
 
-    _, found = jax.lax.scan(jax.checkpoint(block), None, (windows.item, windows.shift, windows.rival))
+    def block_if_any(_: None, window: tuple[Array, Array, Array]) -> tuple[None, list[tuple[Array, Array]]]:
+        none = jax.tree.map(lambda size: jnp.zeros(size.shape, size.dtype), jax.eval_shape(block, *window))
+        return None, jax.lax.cond(window[0][0] < n, block, lambda *_: none, *window)
+
+    _, found = jax.lax.scan(jax.checkpoint(block_if_any), None, (windows.item, windows.shift, windows.rival))
     cells = windows.item.ravel()
     totals = [jnp.zeros(n, positions.dtype).at[cells].add(size.ravel(), **SCATTER) for pair in found for size in pair]
     sizes, surfaces = totals[:2], totals[2:]

@@ -37,7 +37,8 @@ def tissue_energy(
     >>> tube = Tube(length=12.0, apical_radius=1.0, basal_radius=3.0)
     >>> positions = tube.random_positions(jax.random.key(0), 40)
     >>> neighbors = NeighborList.allocate(positions, tube)
-    >>> jax.grad(tissue_energy)(positions, tube_model(tube, 40), neighbors, "draft").shape
+    >>> slope = jax.jit(jax.grad(tissue_energy), static_argnames="resolution")
+    >>> slope(positions, tube_model(tube, 40), neighbors, resolution="draft").shape
     (40, 2)
     """
     tube, resolution = model.tube, as_resolution(resolution)

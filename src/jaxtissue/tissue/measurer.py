@@ -86,10 +86,10 @@ def measure_tissue(
     Raises:
         ValueError: If `as_positions` refuses the positions, or if the tolerance is not positive.
 
-    >>> tube = Tube(length=10, apical_radius=1, basal_radius=3)
-    >>> cells = measure_tissue(tube.random_positions(jax.random.key(0), 20), tube)
+    >>> tube = Tube(length=12, apical_radius=1, basal_radius=3)
+    >>> cells = measure_tissue(tube.random_positions(jax.random.key(0), 40), tube)
     >>> bool(abs(cells.volume.sum() / tube.volume - 1) < 1e-4), cells.apical_perimeter.shape
-    (True, (20,))
+    (True, (40,))
     """
     if tolerance is not None and not tolerance > 0:
         raise ValueError(f"tolerance={tolerance} is not a positive fraction of the mean cell; try 0.001")
@@ -170,8 +170,8 @@ class CellMeasurer:
     Attributes:
         num_rebuilds: How often lists were found anew, the first time included.
 
-    >>> tube = Tube(length=40, apical_radius=2, basal_radius=6)
-    >>> positions = tube.random_positions(jax.random.key(0), 100)
+    >>> tube = Tube(length=12, apical_radius=1, basal_radius=3)
+    >>> positions = tube.random_positions(jax.random.key(0), 40)
     >>> measurer = CellMeasurer(tube, "draft")
     >>> first = measurer.measure(positions)
     >>> turned = measurer.measure(positions + np.array([0, 0.01], np.float32))
