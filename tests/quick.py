@@ -12,6 +12,7 @@ from jaxtissue.compilation import batching, fusion
 from jaxtissue.compilation.fusion import is_option
 from jaxtissue.measurement import walls
 from jaxtissue.neighbors import search
+from jaxtissue.sections import half_planes
 from jaxtissue.tissue import measurer, refinement
 
 Options = dict[str, str | bool]
@@ -20,7 +21,7 @@ LEVEL = "xla_backend_optimization_level"
 # compiled in half of the time; a sweep takes a fifth longer, and replicas get other bits than alone
 QUICK: Options = {"xla_cpu_use_fusion_emitters": False}
 # candidates compared in loops that are unrolled less: two thirds of the time to compile
-SHORT_LOOPS = [(walls, "CHUNK", 4), (walls, "UNROLLED", 0)]
+SHORT_LOOPS = [(walls, "CHUNK", 4), (walls, "UNROLLED", 0), (half_planes, "CHUNK", 4)]
 # named as the installed command, by which it knows that signals are for it to answer
 RUN = f"""
 import sys

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxtissue.compilation.fusion import take_rows
 from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.positions import X64
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.adhesion import Adhesion, check_adhesion
@@ -84,14 +85,13 @@ def epithelial_energy(cells: CellGeometry, model: "Model") -> Float[Array, "cell
 
 
 class Model(eqx.Module):
-    """The energy model of a tissue: its tube, its constants, and the energy of a cell (paper, section 3.1).
+    """The energy model of a tissue: its domain, its constants, and the energy of a cell (paper, section 3.1).
 
-    The constants are one number each, the same for all cells. Values that differ from cell to cell are in `parameters`.
-    All fields but the function are traced, so that they change without recompiling. `tube_model` makes a model with
-    Vbar = |D| / n.
+    The constants are one number each, the same for all cells; `parameters` differ from cell to cell. All fields but the
+    function are traced, so that they change without recompiling. `tube_model` makes a model with Vbar = |D| / n.
 
     Attributes:
-        tube: The tube that the cells fill.
+        domain: The tube or other domain that the cells fill.
         mean_volume: Vbar, the mean volume of a cell.
         modulus: K, the weight of the volume term.
         tension: Lambda, the weight of the lateral area.
@@ -107,7 +107,7 @@ class Model(eqx.Module):
             `with_surfaces`.
     """
 
-    tube: Tube
+    domain: Tube | Domain
     mean_volume: float | Array
     modulus: float | Array = 1.0
     tension: float | Array = 0.4
@@ -116,13 +116,17 @@ class Model(eqx.Module):
     adhesion: Adhesion | None = None
     has_surfaces: bool = eqx.field(static=True, default=False)
 
+    @property
+    def tube(self) -> Tube:
+        """The domain, if that is a tube; raises `AttributeError` for other domains."""
+        if isinstance(self.domain, Tube):
+            return self.domain
+        raise AttributeError(f"a model of {type(self.domain).__name__} has no tube; use model.domain")
+
     def with_surfaces(self) -> "Model":
         """The same model for a `cell_energy` that reads areas and perimeters on the apical and basal surface.
 
         They are measured in every move, so that a sweep takes 1.2 to 1.6 times as long; without this they are None.
-
-        Returns:
-            A model whose energy finds `apical_area`, `basal_area`, `apical_perimeter` and `basal_perimeter`.
 
         >>> def contractile(cells, model):
         ...     return epithelial_energy(cells, model) + 0.1 * cells.apical_perimeter**2
@@ -132,14 +136,7 @@ class Model(eqx.Module):
         return replace(self, has_surfaces=True)
 
     def of(self, cells: Int[Array | np.ndarray, "cells"]) -> "Model":
-        """The model for a part of the cells, with the rows of the parameters that belong to them.
-
-        Args:
-            cells: The numbers of the cells, [cells].
-
-        Returns:
-            The same model, or one with fewer rows of parameters.
-        """
+        """The model for a part of the cells, by their numbers, with the rows of the parameters that belong to them."""
         if self.parameters is None:
             return self
         rows = jax.tree.map(lambda table: take_rows(table, jnp.asarray(cells)), self.parameters)
@@ -147,7 +144,7 @@ class Model(eqx.Module):
 
 
 def tube_model(
-    tube: Tube,
+    tube: Tube | Domain,
     cells: int,
     modulus: float = 1.0,
     tension: float = 0.4,
@@ -156,12 +153,12 @@ def tube_model(
     parameters: Any = None,
     adhesion: Adhesion | None = None,
 ) -> Model:
-    """The energy model of `cells` cells that fill a tube, with Vbar = |D| / n (paper, sections 3.1 and 4.3).
+    """The energy model of `cells` cells that fill a domain, with Vbar = |D| / n (paper, sections 3.1 and 4.3).
 
     The defaults are the paper's constants, K = 1 and Lambda = 0.4.
 
     Args:
-        tube: The tube that the cells fill.
+        tube: The tube, or any other domain, that the cells fill.
         cells: n, the number of cells.
         modulus: K, the weight of the volume term.
         tension: Lambda, the weight of the lateral area.

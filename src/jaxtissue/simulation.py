@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
@@ -13,14 +14,15 @@ from jaxtissue.dynamics.annealer import Annealer
 from jaxtissue.dynamics.schedules import constant_schedule
 from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.energy import Model, tube_model
-from jaxtissue.geometry.positions import as_positions
-from jaxtissue.geometry.tube import TUBE_SIZES, Tube
+from jaxtissue.geometry.domain_positions import as_positions_on
+from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Resolution
 from jaxtissue.system.frames import as_frame
 from jaxtissue.tissue.measurer import measure_tissue
 
-Callback = Callable[[SweepRecord, Float[np.ndarray, "n 2"]], Any]
+Callback = Callable[[SweepRecord, Float[np.ndarray, "n d"]], Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,14 +30,14 @@ class AnnealResult:
     """The result of annealing (paper, section 4.3).
 
     Attributes:
-        positions: (axial, angle) of each backbone after the last sweep, [n, 2].
+        positions: (axial, angle) of each backbone after the last sweep, [n, 2], or what positions on the domain are.
         cells: The sizes of the cells after it, with bounds of their errors, measured at `standard`. Lateral areas are
             those of the walls themselves, without the weights of an adhesion.
         records: A record of the initial state and one of each sweep.
         model: The energy of the annealing.
     """
 
-    positions: Float[np.ndarray, "n 2"]
+    positions: Float[np.ndarray, "n d"]
     cells: CellGeometry
     records: list[SweepRecord]
     model: Model
@@ -69,7 +71,7 @@ class AnnealResult:
 
 def anneal(
     positions: Any,
-    domain: Tube,
+    domain: Tube | Domain,
     sweeps: int = 100,
     temperature: float | Float[ArrayLike, "sweeps"] = 2.0,
     seed: int = 0,
@@ -82,8 +84,9 @@ def anneal(
     Shows a progress bar on a terminal. The same positions and seed give what `jaxtissue anneal` gives, to the bit.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        domain: The tube that they stand in.
+        positions: (axial, angle) of each backbone, [n, 2], or what positions on the domain are, in any form that
+            `as_positions` takes.
+        domain: The tube or other domain that they stand in.
         sweeps: Number of sweeps; in each, every cell makes one move.
         temperature: T, in the unit of the energy: one number, or one for each sweep, [sweeps].
         seed: The seed of the moves, 0 to 2^32 - 1.
@@ -106,11 +109,13 @@ def anneal(
     >>> len(result.energies), bool(result.energies[-1] < result.energies[0])
     (6, True)
     """
-    place = as_positions(positions, domain)
+    place = as_positions_on(positions, domain)
     model = model if model is not None else tube_model(domain, len(place))
-    sizes = [[float(getattr(tube, name)) for name in TUBE_SIZES] for tube in (model.tube, domain)]
-    if not np.allclose(*sizes, rtol=1e-6, atol=0):  # one may be in single precision
-        raise ValueError(f"the model is of {model.tube}, and the positions stand in {domain}; make one for that tube")
+    if not _are_same(model.domain, domain):
+        kind = "tube" if isinstance(domain, Tube) else "domain"
+        raise ValueError(
+            f"the model is of {model.domain}, and the positions stand in {domain}; make one for that {kind}"
+        )
     if sweeps < 0:
         raise ValueError(f"sweeps={sweeps} is below 0; give a number of sweeps")
     given = np.asarray(temperature, float)
@@ -132,3 +137,9 @@ def anneal(
                     break
             bar.set_postfix(energy=f"{records[-1].energy:.4g}", acceptance=f"{records[-1].acceptance:.2f}")
     return AnnealResult(np.asarray(last), measure_tissue(jnp.asarray(last), domain), records, model)
+
+
+def _are_same(first: Tube | Domain, second: Tube | Domain) -> bool:
+    """Whether two domains have the same shape and sizes; one may be in single precision."""
+    (sizes, shape), (others, other) = jax.tree.flatten(first), jax.tree.flatten(second)
+    return shape == other and all(np.allclose(a, b, rtol=1e-6, atol=0) for a, b in zip(sizes, others, strict=True))

@@ -12,15 +12,19 @@ from jaxtyping import Array, Float
 from jaxtissue.compilation.batching import Batch
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.dynamics.coloring import CONFLICTS
+from jaxtissue.dynamics.domain_runs import DomainRun, Played, domain_run
 from jaxtissue.dynamics.independent_sets import independent_rounds, one_by_one, padded_orders, round_width
 from jaxtissue.dynamics.local_updates import Neighborhoods, Scene, TissueState
 from jaxtissue.dynamics.metropolis import warn_of_coarse_places
-from jaxtissue.dynamics.replays import SPAN, Segment, Span, energies_together, play_spans
+from jaxtissue.dynamics.replays import SPAN, Plan, Segment, Span, energies_together, play_spans
 from jaxtissue.dynamics.spans import energy_terms, play, survey_state
 from jaxtissue.dynamics.survey import Tissue, lines_of, survey_together
 from jaxtissue.dynamics.sweep_log import Measured, SweepRecord, least_around, sweep_record
 from jaxtissue.energy import Model, check_energy, check_parameters, in_precision
-from jaxtissue.geometry.positions import as_positions, check_count
+from jaxtissue.geometry.domain_positions import as_positions_on
+from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.positions import check_count
+from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.adhesion import check_adhesion
 from jaxtissue.measurement.axial_lines import BackboneCoords
 from jaxtissue.measurement.cell_geometry import CellGeometry
@@ -42,12 +46,12 @@ class AnnealState(NamedTuple):
 
     Attributes:
         sweep: The number of sweeps done.
-        positions: (axial, angle) of each backbone, [n, 2].
+        positions: (axial, angle) of each backbone, [n, 2], or what positions on the domain are, [n, d].
         around: The room for the cells around each cell, as far as it has grown.
     """
 
     sweep: int
-    positions: Float[np.ndarray, "n 2"]
+    positions: Float[np.ndarray, "n d"]
     around: int = 0
 
 
@@ -99,6 +103,8 @@ class Annealer:
         temperatures = np.asarray(temperatures, float)
         if not (np.isfinite(temperatures).all() and (temperatures >= 0).all()):
             raise ValueError("temperatures must be finite and at least 0; change the schedule")
+        if conflicts == "8-phi" and isinstance(model.domain, Domain):
+            raise ValueError("conflicts='8-phi' is known on tubes alone; use 'near'")
         check_energy(model)
         dtype = jnp.result_type(float)
         self.model = in_precision(model, dtype)
@@ -106,23 +112,29 @@ class Annealer:
         self.seed, self.temperatures = seed, temperatures
         self.compile_seconds = 0.0
         self._lines: dict[int, tuple[Lines, Lines]] = {}  # for each number of cells
-        self._last: tuple[Float[np.ndarray, "n 2"], Measured] | None = None  # the tissue measured last
+        self._last: tuple[Float[np.ndarray, "n d"], Any] | None = None  # the tissue measured last
+        self._on_domain: DomainRun | None = None
+        if isinstance(model.domain, Domain):
+            self._on_domain = domain_run(self.model, self.resolution, seed, temperatures)
 
     @usual_modes()
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
         """The state before the first sweep; warns where axial positions are too coarse for moves in this precision.
 
         Args:
-            positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
+            positions: (axial, angle) of each backbone, [n, 2], or what the domain's positions are, in any form that
+                `as_positions` takes.
 
         Raises:
             ValueError: If `as_positions` refuses the positions, or if their number is not that of the model.
         """
-        own = np.asarray(as_positions(positions, self.model.tube))
-        check_count(len(own), self.model.tube, float(self.model.mean_volume))
+        domain = self.model.domain
+        own = np.asarray(as_positions_on(positions, domain))
+        check_count(len(own), domain, float(self.model.mean_volume))
         check_parameters(self.model.parameters, len(own))
         check_adhesion(self.model.adhesion, len(own))
-        warn_of_coarse_places(self.model, len(own), own.dtype)
+        if isinstance(domain, Tube):
+            warn_of_coarse_places(self.model, len(own), own.dtype)
         return AnnealState(0, own)
 
     def record(self, state: AnnealState) -> SweepRecord:
@@ -132,6 +144,8 @@ class Annealer:
     @usual_modes()
     def measure(self, positions: Float[np.ndarray, "n 2"]) -> CellGeometry:
         """Volumes and lateral areas at positions [n, 2], with the resolution and adhesion of the annealing."""
+        if self._on_domain:
+            return self._on_domain.survey(positions, Batch()).state.cells.sizes
         (measured,) = survey_together([self._tissue(positions)], Batch())
         return measured.tissue.sizes
 
@@ -143,7 +157,7 @@ class Annealer:
         """
         return advance_together([self], [state])[0]
 
-    def _known(self, positions: Float[np.ndarray, "n 2"]) -> Measured | None:
+    def _known(self, positions: Float[np.ndarray, "n d"]) -> Any:
         """The tissue as measured last, if these are its positions."""
         return self._last[1] if self._last and np.array_equal(self._last[0], positions) else None
 
@@ -153,16 +167,18 @@ class Annealer:
             self._lines[n] = lines_of(self.model, n, self.resolution)
         return Tissue(positions, self.model, self._lines[n])
 
-    def _span(self, state: AnnealState, measured: Measured) -> Span:
-        """The sweeps up to the next rebuild, with the order of their moves: one by one, or in independent sets."""
+    def _plan(self, state: AnnealState, measured: Any) -> Plan:
+        """The order of the moves up to the next rebuild: one by one, or in independent sets."""
         ahead, n = range(state.sweep + 1, len(self.temperatures)), len(state.positions)
         sweeps = next(filter(renews_at, ahead), len(self.temperatures)) - state.sweep
         if self.algorithm == "mh":
-            plan = [one_by_one(self.seed, state.sweep + k, n) for k in range(sweeps)]
-        else:
-            plan = sweeps * [independent_rounds(self.conflicts, state.positions, self.model, measured.contacts)]
-        tissue = self._tissue(state.positions)
-        return Span(tissue, measured, self.seed, state.sweep, self.temperatures, state.around, [Segment(plan)])
+            return [one_by_one(self.seed, state.sweep + k, n) for k in range(sweeps)]
+        return sweeps * [independent_rounds(self.conflicts, state.positions, self.model, measured.contacts)]
+
+    def _span(self, state: AnnealState, measured: Measured) -> Span:
+        """The sweeps up to the next rebuild."""
+        tissue, segments = self._tissue(state.positions), [Segment(self._plan(state, measured))]
+        return Span(tissue, measured, self.seed, state.sweep, self.temperatures, state.around, segments)
 
     def _prepare(self, state: AnnealState, first: Attempt, batch: Batch) -> None:
         """Begin to compile what a run will need: sweeps with lists and rounds of the likely widths, and energies."""
@@ -187,7 +203,7 @@ class Annealer:
             batch.prepare(energy_terms, (sizes, self.model), light=True)
         batch.prepare(survey_state, tissue.survey_call(sides), light=True)
 
-    def _rows(self, span: Span, energies: Float[np.ndarray, "3 sweeps"], seconds: float) -> list[SweepRecord]:
+    def _rows(self, span: Span | Played, energies: Float[np.ndarray, "3 sweeps"], seconds: float) -> list[SweepRecord]:
         """A record of each sweep of a span, which took so many seconds each."""
         trail, rows = span.trail, []
         sweeps, n = trail.sizes.volume.shape
@@ -205,8 +221,12 @@ def advance_together(annealers: Sequence[Annealer], states: Sequence[AnnealState
 
     Replicas alike in resolution, number of cells and energy function run in one compiled program, [replicas, n], spread
     over the devices of this process; seeds, tubes, constants and temperatures are free. The program is compiled for
-    `slots` replicas, or for as many as there are.
+    `slots` replicas, or for as many as there are. On domains other than tubes replicas go on one after another.
     """
+    if any(run._on_domain for run in annealers):
+        if len(annealers) > 1:
+            return [advance_together([run], [state])[0] for run, state in zip(annealers, states, strict=True)]
+        return [_advance_on_domain(annealers[0], states[0])]
     begin, batch = time.perf_counter(), Batch(max(slots, len(annealers)))
     surveys = _survey(annealers, states, batch)
     spans = [run._span(state, tissue) for run, state, tissue in zip(annealers, states, surveys, strict=True)]
@@ -224,6 +244,20 @@ def advance_together(annealers: Sequence[Annealer], states: Sequence[AnnealState
     return advances
 
 
+def _advance_on_domain(run: Annealer, state: AnnealState) -> Advance:
+    """`Annealer.advance` on a domain other than a tube."""
+    begin, batch, on_domain = time.perf_counter(), Batch(), run._on_domain
+    assert on_domain is not None
+    (measured,) = _survey([run], [state], batch)
+    played = on_domain.play(measured, run._plan(state, measured), state.sweep, batch)
+    places = np.asarray(played.trail.positions)
+    seconds = (time.perf_counter() - begin - batch.compile_seconds) / len(places)
+    (table,) = energies_together([run.model], [played.trail.sizes], batch)
+    run._last = places[-1].copy(), played.measured
+    run.compile_seconds += batch.compile_seconds
+    return AnnealState(played.sweep, places[-1]), run._rows(played, table, seconds), places
+
+
 @usual_modes()
 def record_together(annealers: Sequence[Annealer], states: Sequence[AnnealState], slots: int = 0) -> list[SweepRecord]:
     """`Annealer.record` for several replicas at once, as `advance_together`."""
@@ -237,9 +271,13 @@ def record_together(annealers: Sequence[Annealer], states: Sequence[AnnealState]
     return records
 
 
-def _survey(annealers: Sequence[Annealer], states: Sequence[AnnealState], batch: Batch) -> list[Measured]:
+def _survey(annealers: Sequence[Annealer], states: Sequence[AnnealState], batch: Batch) -> list[Any]:
     """Measure the whole tissue of each replica, unless it was the last that its annealer measured."""
     found = [run._known(state.positions) for run, state in zip(annealers, states, strict=True)]
+    for k, run in enumerate(annealers):
+        if run._on_domain and found[k] is None:
+            found[k] = run._on_domain.survey(states[k].positions, batch)
+            run._last = states[k].positions.copy(), found[k]
     unknown = [k for k, measured in enumerate(found) if measured is None]
 
     def foresee(number: int, first: Attempt) -> None:

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from jaxtissue.diagram.spread import covering_radius
 from jaxtissue.dynamics.coloring import color, distance_conflicts, hop_conflicts
-from jaxtissue.dynamics.local_updates import Neighborhoods, update_capacity
+from jaxtissue.dynamics.local_updates import HasAround, update_capacity
 from jaxtissue.dynamics.metropolis import Order, move_bound
 from jaxtissue.energy import Model
 
@@ -85,7 +85,7 @@ def cut(
     return few
 
 
-def padded_orders(plan: Sequence[Int[np.ndarray, "rounds width"]], sweeps: int, near: Neighborhoods) -> Order:
+def padded_orders(plan: Sequence[Int[np.ndarray, "rounds width"]], sweeps: int, near: HasAround) -> Order:
     """The rounds of one or more sweeps, padded with empty sweeps: an `Order` of leaves [sweeps, ...]."""
     capacity, width = -(-max(map(len, plan)) // CAPACITY) * CAPACITY, plan[0].shape[1]
     rounds = np.full((sweeps, capacity, width), -1, np.int32)

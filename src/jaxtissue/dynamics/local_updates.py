@@ -1,6 +1,6 @@
 """The changes of a round of moves: the cells that change, their new sizes, the energy differences, and collisions."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -143,15 +143,26 @@ def count_left(moves: Round, tube: Tube) -> Int[Array, ""]:
     return left.sum(dtype=jnp.int32)
 
 
-def update_capacity(width: int, near: Neighborhoods) -> int:
+class HasAround(Protocol):
+    """Lists of the cells around each cell, [n, around]."""
+
+    @property
+    def around(self) -> Array | np.ndarray:
+        """The lists."""
+        raise NotImplementedError
+
+
+def update_capacity(width: int, near: HasAround) -> int:
     """The most cells that the moves of a round may change together; at least all cells around one mover."""
     around = near.around.shape[1] + 1
     return min(width * around, max(around, ROOM * width))
 
 
-def find_collisions(changed: Bool[Array, "width around+1"], moves: Round, n: int) -> Bool[Array, "width"]:
-    """Moves that would change a cell, of `n`, which an earlier move of the round changes too."""
-    cells, width = moves.members, len(changed)
+def find_collisions(
+    changed: Bool[Array, "width around+1"], cells: Int[Array, "width around+1"], n: int
+) -> Bool[Array, "width"]:
+    """Moves that would change one of the cells, of `n`, which an earlier move of the round changes too."""
+    width = len(changed)
     order = jnp.arange(width)[:, None]
     at = jnp.where(changed, cells, n)
     first = jnp.full(n, width).at[at].min(jnp.broadcast_to(order, at.shape), **SCATTER)

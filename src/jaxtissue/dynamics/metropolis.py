@@ -5,7 +5,8 @@ both take the same decisions when they visit the cells in the same order.
 """
 
 import warnings
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -27,10 +28,14 @@ from jaxtissue.dynamics.local_updates import (
     measure_changes,
     update_capacity,
 )
+from jaxtissue.dynamics.surface_moves import longest_move
 from jaxtissue.energy import Model
+from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.axial_lines import BackboneCoords, backbone_coords
 
 COARSE = 0.02  # of the longest move
+State = TypeVar("State")
+Scratch = TypeVar("Scratch")
 
 
 class SweepInfo(NamedTuple):
@@ -85,8 +90,10 @@ def propose(draws: Float[Array, "2 n"], place: BackboneCoords, model: Model) -> 
     return backbone_coords(model.tube.reflect(jnp.stack([axial, angle], axis=-1)))
 
 
-def move_bound(model: Model, cells: int) -> Float[Array, ""]:
-    """Longest move on the apical surface, 0.25 sqrt(2 R_a L / n)."""
+def move_bound(model: Model, cells: int) -> float | Float[Array, ""]:
+    """Longest move on the apical surface, 0.25 sqrt(A / (pi n)), on a tube 0.25 sqrt(2 R_a L / n)."""
+    if not isinstance(model.domain, Tube):
+        return longest_move(model.domain, cells)
     return 0.25 * (2 * model.tube.apical_radius * model.tube.length / cells) ** 0.5
 
 
@@ -129,14 +136,31 @@ def sweep(
     so are moves that change more cells than there is room for.
     """
     proposals = Proposals(propose(draws[:2], state.place, scene.model), draws[2], temperature)
-    rounds, count, n, dtype = order.rounds, order.played, draws.shape[1], draws.dtype
+
+    def play(movers: Array, state: TissueState, reach: Array) -> tuple[TissueState, Outcome, Array]:
+        return play_round(movers, state, proposals, scene, order, reach)
+
+    reach = jnp.zeros((update_capacity(order.rounds.shape[1], scene.near), *state.reach.shape[1:]), draws.dtype)
+    state, info, _ = play_rounds(play, state, order, reach, draws)
+    return state, info
+
+
+def play_rounds(
+    play_round: Callable[[Array, State, Scratch], tuple[State, Outcome, Scratch]],
+    state: State,
+    order: Order,
+    scratch: Scratch,
+    draws: Float[Array, "3 n"],
+) -> tuple[State, SweepInfo, Scratch]:
+    """Play the rounds of a sweep, and then, in further rounds, the moves that were put off."""
+    rounds, count, cells, dtype = order.rounds, order.played, draws.shape[1], draws.dtype
 
     def unplayed(carry: tuple) -> Array:
         number, deferred = carry[0], carry[1]
         return (number < count) | deferred.any()
 
     def play(carry: tuple) -> tuple:
-        number, deferred, state, info, reach = carry
+        number, deferred, state, info, scratch = carry
         planned = number < count
         # of those put off the first collides with none, so that there are fewer every time
         movers = jax.lax.cond(
@@ -144,9 +168,9 @@ def sweep(
             lambda: rounds[jnp.minimum(number, len(rounds) - 1)],
             lambda: jnp.nonzero(deferred, size=rounds.shape[1], fill_value=-1)[0].astype(rounds.dtype),
         )
-        deferred = deferred.at[jnp.where(planned | (movers < 0), n, movers)].set(False, **SCATTER)
-        state, outcome, reach = play_round(movers, state, proposals, scene, order, reach)
-        deferred = deferred.at[jnp.where(outcome.put_off, movers, n)].set(True, **SCATTER)
+        deferred = deferred.at[jnp.where(planned | (movers < 0), cells, movers)].set(False, **SCATTER)
+        state, outcome, scratch = play_round(movers, state, scratch)
+        deferred = deferred.at[jnp.where(outcome.put_off, movers, cells)].set(True, **SCATTER)
         info = SweepInfo(
             info.accepted + outcome.accepted.sum(dtype=jnp.int32),
             info.collisions + (outcome.collides & planned).sum(dtype=jnp.int32),
@@ -154,14 +178,13 @@ def sweep(
             info.rounds + 1,
             info.energy_change + jnp.where(outcome.accepted, outcome.difference, 0).sum(),
         )
-        return number + 1, deferred, state, info, reach
+        return number + 1, deferred, state, info, scratch
 
     zero = jnp.zeros((), jnp.int32)
     nothing = SweepInfo(zero, zero, zero, zero, jnp.zeros((), dtype))
-    reach = jnp.zeros((update_capacity(rounds.shape[1], scene.near), *state.reach.shape[1:]), dtype)
-    start = (zero, jnp.zeros(n, bool), state, nothing, reach)
-    _, _, state, info, _ = jax.lax.while_loop(unplayed, play, start)
-    return state, info
+    start = (zero, jnp.zeros(cells, bool), state, nothing, scratch)
+    _, _, state, info, scratch = jax.lax.while_loop(unplayed, play, start)
+    return state, info, scratch
 
 
 def play_round(
@@ -176,14 +199,14 @@ def play_round(
     place, chance, temperature = proposals
     moves = gather_round(movers, state.place, place, scene.near)
     touched, perhaps = find_changed(moves, state, scene)
-    collides = find_collisions(touched, moves, len(chance))
+    collides = find_collisions(touched, moves.members, len(chance))
     measured = (touched | perhaps) & ~collides[:, None]
     crowded = jnp.cumsum(measured.sum(axis=1)) > order.update_capacity
     measured &= ~crowded[:, None]
     changes = measure_changes(measured, moves, state, place, scene, reach)
     real = drop_unchanged(changes, touched, state, scene.model)
     changed = jnp.zeros(touched.size, bool).at[changes.item].max(real, **SCATTER).reshape(touched.shape)
-    collides |= find_collisions(changed, moves, len(chance))
+    collides |= find_collisions(changed, moves.members, len(chance))
     put_off = collides | (crowded & (movers >= 0))
     difference = local_differences(changes, real, state, scene.model, len(movers))
     weight = jnp.exp(-jnp.maximum(difference, 0) / jnp.maximum(temperature, jnp.finfo(chance.dtype).tiny))

@@ -74,7 +74,8 @@ def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -
     >>> state.positions.shape, bool(abs(state.cells.volume.sum() / tube.volume - 1) < 0.01)
     ((40, 2), True)
     """
-    tube, place = model.tube, np.asarray(as_positions(positions, model.tube))
+    place = np.asarray(as_positions(positions, model.domain))  # type: ignore[arg-type]  # refused if it is no tube
+    tube = model.tube
     n = len(place)
     check_count(n, tube, float(model.mean_volume))
     check_parameters(model.parameters, n)

@@ -50,14 +50,29 @@ class Rectangle(eqx.Module):
     def wrap(self, m: Vector) -> Vector:
         """The point brought back: reflected at free ends, wrapped in closed and periodic directions."""
         place = []
-        for a, extent, direction in zip(m, self.extent, self.directions, strict=True):
-            if direction == "free":
-                folded = jnp.mod(jnp.abs(a), 2 * extent)
-                place.append(jnp.where(folded > extent, 2 * extent - folded, folded))
-            else:
-                turned = jnp.mod(a, extent)
-                place.append(jnp.where(turned >= extent, 0, turned))  # a tiny negative number rounds up
+        for a, extent, direction in zip(self.reflect(m), self.extent, self.directions, strict=True):
+            turned = a if direction == "free" else jnp.mod(a, extent)
+            place.append(a if direction == "free" else jnp.where(turned >= extent, 0, turned))  # tiny ones round up
         return tuple(place)
+
+    def reflect(self, m: Vector) -> Vector:
+        """The point reflected at free ends, with its turns and periods as they are."""
+        place = []
+        for a, extent, direction in zip(m, self.extent, self.directions, strict=True):
+            folded = jnp.mod(jnp.abs(a), 2 * extent)
+            place.append(jnp.where(folded > extent, 2 * extent - folded, folded) if direction == "free" else a)
+        return tuple(place)
+
+    def way_back(self, m: Vector, y: Vector) -> Vector:
+        """The local coordinates that lead back to m from the point that y leads to: -y, as seen in the mirror of ends.
+
+        Every way has one way back, also where a point is reached on several.
+        """
+        way = []
+        for a, b, extent, direction in zip(m, y, self.extent, self.directions, strict=True):
+            mirrored = jnp.mod(jnp.floor((a + b) / extent), 2) == 1
+            way.append(jnp.where(mirrored, b, -b) if direction == "free" else -b)
+        return tuple(way)
 
     def limits(self, m: Vector) -> Limits:
         """How far sections round the point may reach: to free ends, once round, or a period to either side."""
@@ -118,6 +133,14 @@ class UnitSphere(eqx.Module):
     def wrap(self, m: Vector) -> Vector:
         """The unit vector in the same direction."""
         return scale(1 / jnp.sqrt(dot(m, m)), m)
+
+    def reflect(self, m: Vector) -> Vector:
+        """The point as it is: there are no ends."""
+        return m
+
+    def way_back(self, m: Vector, y: Vector) -> Vector:
+        """The local coordinates of m round the point that y leads to."""
+        return self.difference(self.chart(m, y), m)
 
     def limits(self, m: Vector) -> Limits:
         """How far sections round the point may reach: all but round the sphere."""

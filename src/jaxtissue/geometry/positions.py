@@ -189,14 +189,14 @@ def _warn_of_near(place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n
         warnings.warn(f"{found}: their cells may be off by 1 % and more; {X64}", stacklevel=4)
 
 
-def check_count(cells: int, tube: Tube, mean_volume: float) -> None:
-    """Raise `ValueError` unless that number of cells of the mean volume fills the tube.
+def check_count(cells: int, domain: Any, mean_volume: float) -> None:
+    """Raise `ValueError` unless that number of cells of the mean volume fills the tube or other domain.
 
     >>> check_count(25, Tube(10, 1, 2), Tube(10, 1, 2).volume / 20)
     Traceback (most recent call last):
     ValueError: 25 backbones for a model of 20 cells; make it with tube_model(tube, 25)
     """
-    fitting = float(tube.volume) / float(mean_volume)
+    fitting = float(domain.volume) / float(mean_volume)
     if not math.isclose(fitting, cells, rel_tol=1e-5, abs_tol=0.01):  # sizes may be single precision
         raise ValueError(
             f"{cells} backbones for a model of {fitting:.6g} cells; make it with tube_model(tube, {cells})"

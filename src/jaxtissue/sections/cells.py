@@ -16,6 +16,8 @@ from jaxtissue.sections.crowd import gather_crowd
 from jaxtissue.sections.polygons import Rule, Sections, measure_sections
 from jaxtissue.sections.views import look
 
+RULE = Rule(slots=14, passes=3, steps=1, rays=2)
+MANY_SLOTS = 31  # as many edges as five bits can number
 # Cut from the measured frontier of error against time (benchmarks/domains.py)
 SECTIONS = {"draft": Resolution(2, 4), "standard": Resolution(4, 8), "fine": Resolution(8, 10)}
 

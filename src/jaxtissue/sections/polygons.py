@@ -83,7 +83,7 @@ class Edges(NamedTuple):
 
 
 class Polygon(NamedTuple):
-    """The polygon of each cell: its edges in slots, from corner to corner."""
+    """The polygon of each cell as one pass gives it: its edges in slots, from corner to corner."""
 
     packed: Packed
     edge: Edges
@@ -91,12 +91,21 @@ class Polygon(NamedTuple):
     end: Vector
     after: Int[Array, "slots *T"]
     spare: Int[Array, "*T"]
+    rough: Vector  # `end`, before it was moved onto the walls
+    planes: HalfPlanes  # all lines, [lines, *T]
+    exists: Bool[Array, "lines *T"]
 
 
 def measure_sections(domain: Domain, view: View, rule: Rule) -> Sections:
     """Measure the section of each cell on each layer."""
+    polygons = find_polygons(domain, view, rule)
+    return measure_polygons(domain, view, rule, jax.tree.map(lambda table: table[-1], polygons))
+
+
+def measure_polygons(domain: Domain, view: View, rule: Rule, polygon: Polygon) -> Sections:
+    """Measure the sections that the last pass has found."""
     anchor = view.anchor
-    packed, edge, start, end, after, spare = find_polygons(domain, view, rule)
+    packed, edge, start, end, after, spare, *_ = polygon
     chord, middle = subtract(end, start), scale(0.5, add(start, end))
     for _ in range(rule.steps):
         middle = fusion_barrier(lambda z=middle: add(z, _to_wall(domain, view, z, edge, chord)), anchor)
@@ -116,7 +125,7 @@ def measure_sections(domain: Domain, view: View, rule: Rule) -> Sections:
 
 
 def find_polygons(domain: Domain, view: View, rule: Rule) -> Polygon:
-    """The polygon of each section, by a fixed number of passes from lines to corners and back to lines.
+    """The polygon of each section, by a fixed number of passes from lines to corners and back to lines, [passes, ...].
 
     Corners are brought onto the walls. Then a wall with an edge is the line through the edge's corners, and one without
     is taken as a line at the corner that it would cut first: so what cuts off a corner is found in the next pass.
@@ -124,15 +133,18 @@ def find_polygons(domain: Domain, view: View, rule: Rule) -> Polygon:
     anchor, limits = view.anchor, limit_planes(domain, view)
     flat = view.frame(domain, (jnp.zeros((1, *view.height.shape), view.height.dtype),) * 2)
     first = fusion_barrier(lambda: first_places(view, flat), anchor)
-    planes = fusion_barrier(lambda: _lines(domain, view, first), anchor)
+    planes = fusion_barrier(lambda: lines_at(domain, view, first), anchor)
     planes = _joined(planes, *limits)
 
-    def more(planes: HalfPlanes, _: None) -> tuple[HalfPlanes, Polygon]:
+    def more(carry: tuple[HalfPlanes, Polygon], is_first: Array) -> tuple[tuple[HalfPlanes, Polygon], Polygon]:
+        planes = jax.lax.cond(is_first, lambda: carry[0], lambda: _refined(domain, view, *carry))
         polygon = _cut_out(domain, view, planes, rule)
-        return _refined(domain, view, planes, polygon), polygon
+        return (planes, polygon), polygon
 
-    _, polygons = jax.lax.scan(more, planes, length=rule.passes)
-    return jax.tree.map(lambda table: table[-1], polygons)
+    none = jax.tree.map(
+        lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(lambda: _cut_out(domain, view, planes, rule))
+    )
+    return jax.lax.scan(more, (planes, none), jnp.arange(rule.passes) == 0)[1]
 
 
 def _cut_out(domain: Domain, view: View, planes: HalfPlanes, rule: Rule) -> Polygon:
@@ -143,11 +155,12 @@ def _cut_out(domain: Domain, view: View, planes: HalfPlanes, rule: Rule) -> Poly
     before, after = fusion_barrier(lambda: take((cuts.before, cuts.after), packed.line), anchor)
     edge = _edges(planes, view, packed.line, anchor)
     twice, others = _joined(edge, edge), _edges(planes, view, jnp.concatenate([before, after]), anchor)
-    corners = fusion_barrier(lambda: crossing(twice.plane, others.plane, 1e-5), anchor)
+    rough = corners = fusion_barrier(lambda: crossing(twice.plane, others.plane, 1e-5), anchor)
     for _ in range(rule.steps):
         corners = fusion_barrier(lambda z=corners: add(z, _to_corner(domain, view, z, twice, others)), anchor)
     start, end = _parts(corners, 2)
-    return Polygon(packed, edge, start, end, after, jnp.sum(cuts.exists, axis=0) - rule.slots)
+    spare = jnp.sum(cuts.exists, axis=0) - rule.slots
+    return Polygon(packed, edge, start, end, after, spare, _parts(rough, 2)[1], planes, cuts.exists)
 
 
 def _refined(domain: Domain, view: View, planes: HalfPlanes, polygon: Polygon) -> HalfPlanes:
@@ -166,7 +179,7 @@ def _refined(domain: Domain, view: View, planes: HalfPlanes, polygon: Polygon) -
     is_chord = is_edge & (ahead > 0.5 * jnp.sqrt(dot(chord, chord))) & (dot(chord, chord) > 0)
     corner = farthest(polygon.end, polygon.packed.is_edge, old.normal, anchor)
     z = each(lambda a, b, c: jnp.where(is_edge, (a + b) / 2, c), start, end, corner)
-    fresh = fusion_barrier(lambda: _lines(domain, view, z), anchor)
+    fresh = fusion_barrier(lambda: lines_at(domain, view, z), anchor)
 
     def with_chords() -> HalfPlanes:
         size = jnp.sqrt(jnp.where(is_chord, dot(chord, chord), 1))
@@ -177,7 +190,8 @@ def _refined(domain: Domain, view: View, planes: HalfPlanes, polygon: Polygon) -
     return _joined(fusion_barrier(with_chords, anchor), limits)
 
 
-def _lines(domain: Domain, view: View, z: Vector) -> HalfPlanes:
+def lines_at(domain: Domain, view: View, z: Vector) -> HalfPlanes:
+    """The walls of the rivals as lines, each to first order round its place."""
     return as_half_planes(gap(view.frame(domain, z), view.own, view.rivals), z, view.is_there)
 
 

@@ -76,11 +76,11 @@ def look(domain: Domain, place: Vector, heights: Array, own: Segments, rivals: S
     flat = domain.frame(centers, (jnp.zeros_like(height),) * 2, height)
     own = Segments(*(tuple(part[None, None] for part in vector) for vector in own))
     rivals = Segments(*(tuple(part[:, None] for part in vector) for vector in rivals))
-    return View(centers, height, _basis(flat), own, rivals, is_there[:, None])
+    return View(centers, height, metric_basis(flat), own, rivals, is_there[:, None])
 
 
-def _basis(flat: Frame) -> tuple[Vector, Vector]:
-    """L^-T for the metric L L^T."""
+def metric_basis(flat: Frame) -> tuple[Vector, Vector]:
+    """Local coordinates y of unit steps z, y = B z: B = L^-T for the metric L L^T, so that z has the unit matrix."""
     across = jnp.sqrt(dot(flat.first, flat.first))
     mixed = dot(flat.first, flat.second) / across
     rest = jnp.sqrt(dot(flat.second, flat.second) - mixed**2)

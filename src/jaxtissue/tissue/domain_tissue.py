@@ -16,6 +16,8 @@ from jaxtissue.geometry.vectors import components
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Resolution
 from jaxtissue.sections.cells import (
+    MANY_SLOTS,
+    RULE,
     CellSizes,
     Layers,
     cell_sections,
@@ -28,8 +30,6 @@ from jaxtissue.sections.crowd import Crowd, as_array, extended, first_lists, gat
 from jaxtissue.sections.polygons import Rule, Sections
 
 ROUNDS = 8  # of looking for missing neighbors
-RULE = Rule(slots=14, passes=3, steps=1, rays=2)
-MANY_SLOTS = 31  # as many edges as five bits can number
 SAFETY = 2.0  # errors are this many times the difference of two rules
 DEFECT = 2e-3  # of a layer, by which the sections of all cells may miss it without a warning
 

@@ -1,0 +1,147 @@
+"""Spans of sweeps on any domain, each checked against a survey, and played again where that shows other cells."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxtissue.compilation.batching import Batch
+from jaxtissue.dynamics.domain_lists import Measured, Shortlists, survey, with_slots
+from jaxtissue.dynamics.domain_sweeps import play
+from jaxtissue.dynamics.domain_updates import Scene, Surroundings
+from jaxtissue.dynamics.independent_sets import padded_orders
+from jaxtissue.dynamics.metropolis import draw
+from jaxtissue.dynamics.replays import EXACT, SPAN, Segment, energies_together, largest_difference, last_sizes
+from jaxtissue.dynamics.spans import Trail
+from jaxtissue.dynamics.surface_moves import longest_move
+from jaxtissue.energy import Model
+from jaxtissue.measurement.quadrature import Resolution
+from jaxtissue.sections.cells import MANY_SLOTS, RULE, Layers, plan_layers, section_layers
+
+Plan = Sequence[Int[np.ndarray, "rounds width"]]
+
+
+class Played(NamedTuple):
+    """A span that was played: its sweeps, the tissue after it, and how far the energy had drifted from that."""
+
+    sweep: int  # the number of sweeps done
+    trail: Trail
+    measured: Measured
+    drift: float
+
+
+@dataclass
+class DomainRun:
+    """What a run on a domain keeps.
+
+    Attributes:
+        model: The energy, in the precision of JAX.
+        seed: The seed of the moves.
+        temperatures: T of each sweep of the run.
+        scene: What sweeps are played with, without lists.
+    """
+
+    model: Model
+    seed: int
+    temperatures: Float[np.ndarray, "sweeps"]
+    scene: Scene
+    _warned: bool = False
+
+    def survey(self, positions: Float[np.ndarray, "n d"], batch: Batch) -> Measured:
+        """Measure a tissue on complete lists; warns, once, of cells that cannot be trusted."""
+        measured = survey(positions, self.scene, batch)
+        cut = int(measured.is_cut.sum())
+        if (cut or measured.unproved) and not self._warned:
+            self._warned = True
+            told = f"{cut} cells reach beyond what one of their sections can show, and at {measured.unproved} places"
+            warnings.warn(f"{told} a neighbor may be missing: energies may be off; take more cells", stacklevel=4)
+        return measured
+
+    def play(self, measured: Measured, plan: Plan, sweep: int, batch: Batch) -> Played:
+        """Play sweeps from number `sweep` on, given their rounds; in parts, where lists turn out to lack a neighbor."""
+        span, lists = [Segment(plan)], Shortlists(measured)
+        trails, drift, unfinished = [], 0.0, None
+        while span:
+            segment = span[0]
+            trail, measured = self._attempt(measured, lists.surroundings(), segment.plan, sweep, batch)
+            after = again = self.survey(np.asarray(trail.positions[-1]), batch)
+            if not self._agree(after, trail):
+                again = survey(np.asarray(trail.positions[-1]), self.scene, batch, lists.rivals)
+            if not self._agree(again, trail):
+                if len(pairs := lists.lacking(again)):
+                    lists.add(pairs)
+                    start = np.stack(measured.state.place, axis=1)
+                    measured = survey(start, self.scene, batch, lists.rivals)
+                    continue
+                if parts := halves(segment):
+                    span[:1], lists = parts, Shortlists(measured)
+                    continue
+            span.pop(0)
+            drift = max(drift, self._drift(after, trail, batch))
+            if unfinished is not None:
+                trail = trail._replace(info=jax.tree.map(np.add, unfinished, trail.info))
+            unfinished = None if segment.is_whole else trail.info
+            if segment.is_whole:
+                trails.append(trail)
+                sweep += len(segment.plan)
+            measured, lists = after, Shortlists(after)
+        return Played(sweep, jax.tree.map(lambda *leaves: np.concatenate(leaves), *trails), measured, drift)
+
+    def _attempt(
+        self, measured: Measured, near: Surroundings, plan: Plan, sweep: int, batch: Batch
+    ) -> tuple[Trail, Measured]:
+        """Play sweeps on these lists; also the tissue before them, anew if it has to have more slots."""
+        positions = np.stack(measured.state.place, axis=1)
+        temperatures, draws = np.zeros(SPAN, positions.dtype), np.zeros((SPAN, 3, len(positions)), positions.dtype)
+        temperatures[: len(plan)] = self.temperatures[sweep : sweep + len(plan)]
+        for k in range(len(plan)):
+            draws[k] = draw(self.seed, sweep + k, len(positions), positions.dtype)
+        scene, orders = replace(self.scene, near=near, rule=measured.rule), padded_orders(plan, SPAN, near)
+        call = draws, measured.relisted(np.asarray(near.rivals)), scene, temperatures, orders
+        ((trail, lacks_slots),) = batch.run(play, [call])
+        if lacks_slots.any() and measured.rule.slots < MANY_SLOTS:
+            wider = survey(positions, with_slots(scene), batch)
+            return self._attempt(wider, near, plan, sweep, batch)
+        return jax.tree.map(lambda leaf: leaf[: len(plan)], trail), measured
+
+    def _agree(self, after: Measured, trail: Trail) -> bool:
+        """Whether the sizes that were carried along are those measured anew, to rounding."""
+        rounding = EXACT * float(np.finfo(trail.positions.dtype).eps) * float(self.model.mean_volume)
+        return bool(largest_difference(after.sizes, last_sizes(trail)).max() <= rounding)
+
+    def _drift(self, after: Measured, trail: Trail, batch: Batch) -> float:
+        sizes = [after.sizes, last_sizes(trail)]
+        first, second = (table[0, 0].item() for table in energies_together([self.model] * 2, sizes, batch))
+        return abs(first - second) / max(abs(first), abs(second), 1e-300)
+
+
+def domain_run(model: Model, resolution: Resolution, seed: int, temperatures: Float[np.ndarray, "sweeps"]) -> DomainRun:
+    """A run with a model that has the precision of JAX."""
+    layers = plan_layers(section_layers(resolution), check=False)
+    if not model.has_surfaces:
+        layers = Layers(layers.heights[:-2], layers.weights[:, :-2])
+    cells = max(1, round(float(model.domain.volume) / float(model.mean_volume)))
+    nothing = Surroundings(*[np.zeros((cells, 1), np.int32)] * 4)
+    longest = np.asarray(longest_move(model.domain, cells), jnp.result_type(float))  # type: ignore[arg-type]
+    return DomainRun(model, seed, temperatures, Scene(model, nothing, layers, longest, RULE))
+
+
+def halves(segment: Segment) -> list[Segment]:
+    """The first and second half of a segment's sweeps, rounds or moves; none of a single move."""
+    if parts := segment.halves():
+        return parts
+    movers = segment.plan[0][0]
+    movers = movers[movers >= 0]
+    if len(movers) < 2:
+        return []
+    parts = []
+    for some in np.array_split(movers, 2):
+        row = np.full((1, segment.plan[0].shape[1]), -1, np.int32)
+        row[0, : len(some)] = some
+        parts.append(row)
+    return [Segment([parts[0]], False), Segment([parts[1]], segment.is_whole)]
