@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments["command"] is None:
             parser.print_help()
             return 0
-        work = {"anneal": anneal, "grid": grid, "measure": measure, "compare": compare, "fit": fit}
+        work = {"anneal": anneal, "relax": relax, "grid": grid, "measure": measure, "compare": compare, "fit": fit}
         work |= {"reproduce": reproduce_paper, "info": info}
         work |= {name: partial(with_tissue, name) for name in ("export", "view")}
         warnings.formatwarning = lambda message, *_, **__: f"jaxtissue: warning: {message}\n"
@@ -101,6 +101,22 @@ def anneal(arguments: dict[str, Any]) -> int:
         raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
     _use_x64(settings.x64)
     return run_annealing(folder, settings, force)
+
+
+def relax(arguments: dict[str, Any]) -> int:
+    """Relax a tissue into a folder."""
+    from jaxtissue.runs.relaxing import Descent, run_relaxation
+
+    use_cores(1)
+    folder, force = (arguments.pop(name) for name in ("out", "force"))
+    descent = Descent(**{name: arguments.pop(name) for name in ("method", "steps", "tolerance")})
+    if domain := given_domain(arguments):
+        arguments |= {name: getattr(domain, name) for name in TUBE_SIZES}
+    refuse_both(arguments, "minimum_contact")
+    need_relative(arguments, arguments | {"temperature": None})
+    settings = Settings(**arguments)
+    _use_x64(settings.x64)
+    return run_relaxation(folder, settings, descent, force)
 
 
 def grid(arguments: dict[str, Any]) -> int:

@@ -10,7 +10,9 @@ from typing import Any, NoReturn
 from jaxtissue.geometry.tube import TUBE_SIZES
 from jaxtissue.images.shapes import FITTERS
 from jaxtissue.measurement.quadrature import as_resolution
+from jaxtissue.minimization.relaxation import ITERATIONS, METHODS
 from jaxtissue.runs.formats import FORMATS, UNITS, VIEWED
+from jaxtissue.runs.relaxing import Descent
 from jaxtissue.runs.settings import Settings
 
 DEGREES = "angles of the table are degrees, not radians"
@@ -20,6 +22,7 @@ RELATIVE = (
 )
 _HELP = {
     "anneal": "anneal a tissue into a folder, or take up a run there",
+    "relax": "relax a tissue down the gradient of its energy into a folder",
     "grid": "anneal a grid of tissues into one table, or what is missing of it",
     "measure": "measure the cells of given backbones",
     "fit": "fit a tissue to a segmented image",
@@ -43,9 +46,10 @@ def command_parser() -> argparse.ArgumentParser:
         name: commands.add_parser(name, help=text, description=text, allow_abbrev=False) for name, text in _HELP.items()
     }
     for name, command in options.items():
-        default = argparse.SUPPRESS if name == "anneal" else False
+        default = argparse.SUPPRESS if name in ("anneal", "relax") else False
         command.add_argument("--x64", action="store_true", default=default, help="compute in 64 bits")
     _add_anneal(options["anneal"])
+    _add_relax(options["relax"])
     for name in ("measure", "compare"):
         command = options[name]
         command.add_argument("file", type=Path, metavar="FILE", help="backbones as CSV: columns axial,angle")
@@ -72,27 +76,49 @@ def _add_anneal(command: argparse.ArgumentParser) -> None:
     command.add_argument("--resume", action="store_true", help="go on with the run in DIR; --sweeps may grow")
     command.add_argument("--finish", action="store_true", help="with --resume: only draw up the tables and "
                          "figures of what was played; --resume can still go on")  # fmt: skip
-    positive, size, whole = _number(0, above=True), _number(0), _count(0)
+    size, whole = _number(0), _count(0)
+    kinds: dict[str, tuple[Callable[[str], Any], str, str]] = {
+        "sweeps": (whole, "N", "a sweep proposes one move per cell"),
+        "temperature": (size, "T", "0 accepts only moves that lower the energy"),
+        "final_temperature": (_number(0, above=True), "T", "cool down to it, by the same factor every sweep"),
+        "patience": (whole, "N", "stop when the energy has not fallen for N sweeps, 0: never"),
+    }
+    for name, (kind, metavar, text) in kinds.items():
+        _add(command, name, text, getattr(Settings, name), type=kind, metavar=metavar)
+    _add(command, "algorithm", "rounds of independent moves, or one move at a time", Settings.algorithm,
+         choices=("is-mh", "mh"))  # fmt: skip
+    _add_start(command)
+
+
+def _add_relax(command: argparse.ArgumentParser) -> None:
+    _add_folder(command, required=True)
+    command.add_argument("--method", choices=METHODS, default=Descent.method, help=
+                         f"one of {', '.join(METHODS)} (default: {Descent.method})")  # fmt: skip
+    command.add_argument("--steps", type=_count(0), default=Descent.steps, metavar="N", help=
+                         f"the most steps, of {ITERATIONS} iterations each (default: {Descent.steps})")  # fmt: skip
+    command.add_argument("--tolerance", type=_number(0, above=True), default=Descent.tolerance, metavar="F", help=
+                         "end where the gradient is this fraction of that at the start "
+                         f"(default: {Descent.tolerance:g})")  # fmt: skip
+    _add_start(command)
+
+
+def _add_start(command: argparse.ArgumentParser) -> None:
+    """The tissue to start from, its energy, and what is told of it in the end."""
+    positive, size = _number(0, above=True), _number(0)
     kinds: dict[str, tuple[Callable[[str], Any], str, str]] = {
         "length": (positive, "X", "length of the tube"),
         "apical_radius": (positive, "X", "radius of the lumen"),
         "basal_radius": (positive, "X", "outer radius"),
         "seed": (_count(0, 2**32 - 1), "S", "of the random cells and moves"),
-        "sweeps": (whole, "N", "a sweep proposes one move per cell"),
-        "temperature": (size, "T", "0 accepts only moves that lower the energy"),
-        "final_temperature": (positive, "T", "cool down to it, by the same factor every sweep"),
         "modulus": (size, "K", "weight of the volume term"),
         "tension": (size, "LAMBDA", "weight of the area term"),
         "resolution": (_resolution, "NAME", "draft, standard, fine or LAYERSxDENSITY"),
-        "patience": (whole, "N", "stop when the energy has not fallen for N sweeps, 0: never"),
     }
     for name, (kind, metavar, text) in kinds.items():
         _add(command, name, text, getattr(Settings, name), type=kind, metavar=metavar)
     _add_domain(command)
     command.add_argument("--relative", action="store_true", default=argparse.SUPPRESS, help=RELATIVE)
     _add_contacts(command, argparse.SUPPRESS, argparse.SUPPRESS)
-    _add(command, "algorithm", "rounds of independent moves, or one move at a time", Settings.algorithm,
-         choices=("is-mh", "mh"))  # fmt: skip
     start = command.add_mutually_exclusive_group()
     _add(start, "backbones", "CSV of backbones to start from", None, metavar="FILE")
     command.add_argument("--degrees", action="store_true", default=argparse.SUPPRESS, help=DEGREES)

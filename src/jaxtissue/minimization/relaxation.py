@@ -4,7 +4,6 @@ import functools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,15 +17,18 @@ from jaxtissue.energy import Model, check_energy, check_parameters, in_precision
 from jaxtissue.geometry.positions import as_positions, check_count
 from jaxtissue.measurement.adhesion import check_adhesion
 from jaxtissue.measurement.quadrature import Resolution, as_resolution, plan_lines
-from jaxtissue.minimization.fire import fire
+from jaxtissue.minimization.fire import FIRE
+from jaxtissue.minimization.lbfgs import LBFGS, Point
 from jaxtissue.minimization.tissue_energy import energy_on_lines
+from jaxtissue.neighbors.neighbor_list import NeighborList, list_neighbors
 from jaxtissue.system.frames import as_frame
-from jaxtissue.tissue.measurer import CellMeasurer
 
-METHODS = ("lbfgs", "fire")
+METHODS = {"lbfgs": LBFGS, "fire": FIRE}
 ITERATIONS = 15  # between two checks of the neighbor lists
+MARGIN = 0.25  # mean cell widths along the axis by which lists reach to the other side of a cell
 REACH = 0.5  # mean cell widths that a backbone may move between two checks
 STALLED = 1e-7  # relative decrease of the energy between two checks that is none
+ROUNDING = 1e-6  # relative difference of the energy by old and new lists that is none
 SHORTEST = 1e-3  # of REACH, the least to which steps are shortened where lists do not hold
 
 
@@ -82,37 +84,49 @@ def _differentiating() -> Callable[..., tuple[Any, Any]]:
     return jax.jit(jax.value_and_grad(energy_on_lines))
 
 
-class _Slope:
-    """Energy and gradient in lengths: along the axis, and round it at the mean of both radii."""
+class _Energy:
+    """Energy and gradient of a tissue whose backbones are placed in lengths, with lists that are renewed on request.
+
+    Lengths are along the axis, and round it at the mean of both radii; places may go on beyond the tube's ends, where
+    the backbones are those reflected.
+    """
 
     def __init__(self, model: Model, cells: int, resolution: Resolution) -> None:
         tube = model.tube
         self.units = np.array([1.0, (float(tube.apical_radius) + float(tube.basal_radius)) / 2])
+        self.width = (2 * np.pi * self.units[1] * float(tube.length) / cells) ** 0.5  # of a mean cell
         self.model, self.evaluations, self.compiling = model, 0, 0.0
         self._lines = plan_lines(tube, cells, resolution, surfaces=model.has_surfaces)
-        self._measurer = CellMeasurer(tube, resolution)
+        self._neighbors: NeighborList | None = None
         self._known: set[tuple[int, ...]] = set()
 
-    def renew(self, positions: Float[np.ndarray, "n 2"]) -> bool:
-        """Renew the lists where they lack a neighbor; whether they did."""
-        before = self._measurer.num_rebuilds
-        self._measurer.measure(positions)
-        return self._measurer.num_rebuilds > before
+    def positions(self, place: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """(axial, angle) of the backbones."""
+        return np.asarray(self.model.tube.reflect(jnp.asarray(place / self.units)))
 
-    def at(self, positions: Float[np.ndarray, "n 2"]) -> tuple[float, Float[np.ndarray, "n 2"]]:
-        """Energy and gradient by the lists renewed last."""
-        assert self._measurer.neighbors is not None
-        lists = self._measurer.neighbors.candidates
+    def renewed(self, place: Float[np.ndarray, "n 2"]) -> Point:
+        """Energy and gradient by lists that are complete here."""
+        positions = self.positions(place)
+        if self._neighbors is None or not self._neighbors.covers(positions):
+            self._neighbors = list_neighbors(positions, self.model.tube, MARGIN * self.width)
+        return self(place)
+
+    def __call__(self, place: Float[np.ndarray, "n 2"]) -> Point:
+        """Energy and gradient by the lists renewed last; the energy is infinite where it can't be measured."""
+        assert self._neighbors is not None
+        lists = self._neighbors.candidates
         begin = time.perf_counter()
-        energy, gradient = _differentiating()(jnp.asarray(positions), self.model, self._lines, lists)
-        found = float(energy), np.asarray(gradient, float) / self.units
+        energy, gradient = _differentiating()(jnp.asarray(self.positions(place)), self.model, self._lines, lists)
+        slope = np.asarray(gradient, float) / self.units
         if lists.shape not in self._known:
             self._known.add(lists.shape)
             self.compiling += time.perf_counter() - begin
         self.evaluations += 1
-        if not (np.isfinite(found[0]) and np.isfinite(found[1]).all()):
-            raise ValueError("the energy or its gradient is not finite here; move backbones that coincide apart")
-        return found
+        if not (np.isfinite(energy) and np.isfinite(slope).all()):
+            return Point(place, np.inf, np.zeros_like(slope))
+        is_reflected = np.floor(place[:, 0] / float(self.model.tube.length)) % 2 != 0
+        slope[is_reflected, 0] *= -1
+        return Point(place, float(energy), slope)
 
 
 @usual_modes()
@@ -133,8 +147,8 @@ def relax(
     Args:
         positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
         model: The energy; see `tube_model`.
-        method: "lbfgs", the quasi-Newton method of scipy with bounds, or "fire", which follows the gradient with
-            inertia (Bitzek et al. 2006).
+        method: "lbfgs", the quasi-Newton method with a line search for functions with kinks (Lewis and Overton 2013),
+            or "fire", which follows the gradient with inertia (Bitzek et al. 2006).
         steps: The most checks, each after 15 iterations at most.
         tolerance: The norm of the gradient, as a fraction of that at the start, at which the tissue is relaxed.
         resolution: How finely cells are measured: a preset or layers and lines.
@@ -166,11 +180,11 @@ def relax(
     check_adhesion(model.adhesion, len(start))
     check_energy(model)
     model = in_precision(model, start.dtype)
-    slope = _Slope(model, len(start), as_resolution(resolution))
+    energy = _Energy(model, len(start), as_resolution(resolution))
     place, history = start, []
     message, converged = f"{steps} steps played", False
     with tqdm(total=steps, desc="relaxing", unit="step", disable=None) as bar:
-        for record, here in _descend(start, slope, method, steps):
+        for record, here in _descend(start, energy, METHODS[method](), steps):
             place = here
             history.append(record)
             bar.update(int(record.step > 0))
@@ -189,56 +203,43 @@ def relax(
 
 
 def _descend(
-    place: Float[np.ndarray, "n 2"], slope: _Slope, method: str, steps: int
+    positions: Float[np.ndarray, "n 2"], energy: _Energy, minimizer: LBFGS | FIRE, steps: int
 ) -> Iterator[tuple[RelaxRecord, Float[np.ndarray, "n 2"]]]:
-    """The tissue at each check; one that would be higher than before is not taken, and steps are shortened."""
-    begin, tube, reach = time.perf_counter(), slope.model.tube, REACH
-    width = (2 * np.pi * slope.units[1] * float(tube.length) / len(place)) ** 0.5
-    minimize = {"lbfgs": _lbfgs, "fire": fire}[method]
-    slope.renew(place)
-    energy, gradient = slope.at(place)
+    """The tissue at each check of the lists; the same record twice says that nothing leads down."""
+    begin, longest = time.perf_counter(), REACH * energy.width
+    here = energy.renewed(positions * energy.units)
+    if not np.isfinite(here.energy):
+        cure = "move apart backbones that coincide, or anneal a few sweeps first"
+        raise ValueError(f"the energy or its gradient is not finite at the start; {cure}")
     for step in range(steps + 1):
-        seconds = time.perf_counter() - begin - slope.compiling
-        yield RelaxRecord(step, slope.evaluations, energy, float(np.linalg.norm(gradient)), seconds), place
-        if step == steps:
-            return
-        while True:
-            low, high = (place * slope.units + side * reach * width for side in (-1, 1))
-            low[:, 0], high[:, 0] = np.maximum(low[:, 0], 0), np.minimum(high[:, 0], float(tube.length))
-            moved = minimize(partial(_in_lengths, slope, place.dtype), place * slope.units, low, high, ITERATIONS)
-            new = np.asarray(tube.reflect(jnp.asarray((moved / slope.units).astype(place.dtype))))
-            slope.renew(new)
-            found = slope.at(new)
-            if found[0] <= energy or reach < SHORTEST * REACH:
+        seconds = time.perf_counter() - begin - energy.compiling
+        slope = float(np.linalg.norm(here.gradient))
+        yield RelaxRecord(step, energy.evaluations, here.energy, slope, seconds), energy.positions(here.place)
+        reach = longest
+        while step < steps and reach > SHORTEST * longest:
+            low = _lowest(energy, here, minimizer, reach)
+            there = energy.renewed(low.place) if low is not here else here
+            if abs(there.energy - low.energy) > ROUNDING * abs(low.energy):
+                minimizer.forget()  # lists lacked a neighbor: it was another energy
+            if there.energy <= here.energy:
+                here = there
                 break
             reach /= 4
-            slope.renew(place)
-        if found[0] > energy:
-            continue  # the same record again, by which the caller sees that nothing leads down
-        place, (energy, gradient), reach = new, found, min(2 * reach, REACH)
+            energy.renewed(here.place)
 
 
-def _in_lengths(
-    slope: _Slope, dtype: np.dtype, moved: Float[np.ndarray, "n 2"]
-) -> tuple[float, Float[np.ndarray, "n 2"]]:
-    return slope.at((moved / slope.units).astype(dtype))
-
-
-def _lbfgs(
-    function: Callable[[np.ndarray], tuple[float, np.ndarray]],
-    start: Float[np.ndarray, "n 2"],
-    low: Float[np.ndarray, "n 2"],
-    high: Float[np.ndarray, "n 2"],
-    iterations: int,
-) -> Float[np.ndarray, "n 2"]:
-    """Where L-BFGS-B of scipy comes to within so many iterations and these bounds."""
-    from scipy.optimize import minimize
-
-    def flat(place: np.ndarray) -> tuple[float, np.ndarray]:
-        energy, gradient = function(place.reshape(start.shape))
-        return energy, gradient.ravel()
-
-    bounds = np.stack([low.ravel(), high.ravel()], axis=1)
-    options = {"maxiter": iterations, "maxcor": 20}
-    found = minimize(flat, start.ravel(), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    return found.x.reshape(start.shape)
+def _lowest(energy: _Energy, here: Point, minimizer: LBFGS | FIRE, reach: float) -> Point:
+    """The lowest point within some iterations, in which no backbone moves by much more than `reach`."""
+    best = there = here
+    for _ in range(ITERATIONS):
+        moved = np.abs(there.place - here.place).max()
+        if moved >= reach:
+            break
+        before, there = there, minimizer.step(energy, there, max(reach - moved, reach / 4))
+        if there is before or not np.isfinite(there.energy):
+            break
+        if there.energy < best.energy:
+            best = there
+    if best is not there:
+        minimizer.forget()
+    return best

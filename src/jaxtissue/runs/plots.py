@@ -100,16 +100,34 @@ def plot_energy(
     return figure, axes
 
 
+def plot_relaxation(history: Sequence[Any], ax: Axes | None = None) -> tuple[Figure, Axes]:
+    """Energy of a tissue, and the norm of its gradient on the right, over the evaluations of a relaxation."""
+    figure, axes = _panel(ax)
+    number = [record.evaluations for record in history]
+    (energy,) = axes.plot(number, [record.energy for record in history], ".-", color=_BLUE, label="energy")
+    right = axes.twinx()
+    (slope,) = right.plot(number, [record.gradient for record in history], ".--", color=_ORANGE, label="gradient")
+    axes.set(xlabel="evaluations of the energy and its gradient", ylabel="energy (tube units)", title="Relaxation")
+    right.set_ylabel("norm of the gradient (energy per length)")
+    for panel, values in ((axes, energy.get_ydata()), (right, slope.get_ydata())):
+        if np.min(values) > 0:
+            panel.set_yscale("log", nonpositive="mask")
+    axes.grid(which="both", color="0.9")
+    axes.legend(handles=[energy, slope])
+    return figure, axes
+
+
 def plot_volumes(
-    sweeps: Sequence[int], volumes: Sequence[Float[ArrayLike, "n"]], mean_volume: float, ax: Axes | None = None
+    sweeps: Sequence[int | str], volumes: Sequence[Float[ArrayLike, "n"]], mean_volume: float, ax: Axes | None = None
 ) -> tuple[Figure, Axes]:
-    """The cells' volumes after the given sweeps, each sorted, against the mean volume (paper, Fig. 11)."""
+    """The cells' volumes after the given sweeps, or as named, each sorted, against the mean (paper, Fig. 11)."""
     figure, axes = _panel(ax)
     colors = mpl.colormaps["viridis"](np.linspace(0, 0.9, len(sweeps)))
     for sweep, volume, color in zip(sweeps, volumes, colors, strict=True):
         ordered = np.sort(np.asarray(volume))
         marker = "o" if len(ordered) < 2 else ""
-        axes.plot(np.arange(1, len(ordered) + 1), ordered, marker=marker, color=color, label=f"sweep {sweep}")
+        label = sweep if isinstance(sweep, str) else f"sweep {sweep}"
+        axes.plot(np.arange(1, len(ordered) + 1), ordered, marker=marker, color=color, label=label)
     axes.axhline(mean_volume, color="black", linestyle=":", label=f"mean {mean_volume:.3g}")
     axes.set(xlabel="cells, from the smallest to the largest", ylabel="cell volume (tube units³)")
     axes.set_title("Volumes of the cells")

@@ -18,11 +18,12 @@ from jaxtissue.system.files import read_sealed
 
 DOMAIN, BACKBONES, MANIFEST, CHECKPOINT = "domain.json", "backbones.csv", "manifest.json", "checkpoint.npz"
 INITIAL, SWEEPS, CELLS, SUMMARY = "initial_backbones.csv", "sweeps.csv", "cells.csv", "summary.json"
+STEPS = "steps.csv"
 FRAME, FIT = "frame.json", "fit.json"
 FIGURES = ("energy.png", "volumes.png", "surfaces.png")
 # all that commands leave in the folder of a tissue: another tissue there outdates it, whichever command brings it
 FILES = (
-    *(MANIFEST, CHECKPOINT, INITIAL, SWEEPS, DOMAIN, BACKBONES, CELLS, SUMMARY, FRAME, FIT),
+    *(MANIFEST, CHECKPOINT, INITIAL, SWEEPS, STEPS, DOMAIN, BACKBONES, CELLS, SUMMARY, FRAME, FIT),
     *(*CONTACT_TABLES, *FIGURES, *map(picture_name, VIEWED)),
 )
 
@@ -34,15 +35,15 @@ def save_tissue(folder: Path, domain: Tube | Domain, backbones: BackboneTable) -
 
 
 def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) -> TissueRecord:
-    """The tissue that `anneal`, `measure` or `fit` left in a folder, with the sweeps that a run kept.
+    """The tissue that `anneal`, `relax`, `measure` or `fit` left in a folder, with the sweeps that a run kept.
 
     Raises:
         ValueError: If the folder holds no such tissue, or a run that has not ended; the message says what to do.
     """
     if not folder.is_dir():
-        raise ValueError(f"{folder} is no folder; give one that anneal or measure wrote")
+        raise ValueError(f"{folder} is no folder; give one that anneal, relax or measure wrote")
     history: dict[int, np.ndarray] = {}
-    if (folder / MANIFEST).is_file():
+    if (folder / MANIFEST).is_file() and not (folder / DOMAIN).is_file():
         manifest = read_sealed(folder / MANIFEST, "write it anew with --resume --finish")
         if not (folder / BACKBONES).is_file():
             raise ValueError(f"the run in {folder} has not ended; go on with: jaxtissue anneal --out {folder} --resume")
@@ -57,7 +58,7 @@ def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) ->
         positions, names = read_backbones(folder / BACKBONES, tube)
     else:
         raise ValueError(
-            f"{folder} holds no {BACKBONES} with {DOMAIN} or {MANIFEST}; give a folder of anneal or measure"
+            f"{folder} holds no {BACKBONES} with {DOMAIN} or {MANIFEST}; give a folder of anneal, relax or measure"
         )
     options = {} if tolerance is None else {"tolerance": tolerance}
     return TissueRecord(positions, tube, names, unit, history, **options)

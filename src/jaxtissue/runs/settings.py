@@ -18,7 +18,7 @@ from jaxtyping import Float
 from jaxtissue.compilation.fusion import options
 from jaxtissue.dynamics.annealer import Annealer
 from jaxtissue.dynamics.schedules import constant_schedule, geometric_schedule
-from jaxtissue.energy import tube_model
+from jaxtissue.energy import Model, tube_model
 from jaxtissue.geometry.tube import Tube
 
 FORMAT = 1  # of what a folder keeps; raised when other code would play other sweeps, or read it otherwise
@@ -68,11 +68,15 @@ class Settings:
         held = np.asarray(constant_schedule(self.final_temperature, self.sweeps - cooling_sweeps))
         return np.concatenate([cooling, held])
 
+    @property
+    def model(self) -> Model:
+        """The energy of the run. Raises `ValueError` for constants that make none."""
+        return tube_model(self.tube, self.cells, self.modulus, self.tension, relative=self.relative)
+
     def annealer(self, cooling_sweeps: int) -> Annealer:
         """The annealer of the run. Raises `ValueError` for settings that cannot be annealed."""
-        model = tube_model(self.tube, self.cells, self.modulus, self.tension, relative=self.relative)
         temperatures = self.temperatures(cooling_sweeps)
-        return Annealer(model, self.resolution, self.algorithm, self.seed, temperatures)
+        return Annealer(self.model, self.resolution, self.algorithm, self.seed, temperatures)
 
 
 def saved_settings(manifest: Mapping[str, Any], given: Mapping[str, Any], place: str) -> Settings:
