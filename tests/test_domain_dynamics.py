@@ -1,5 +1,7 @@
 """Moves and sweeps on domains other than the tube."""
 
+from dataclasses import asdict
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +15,7 @@ from jaxtissue.dynamics.independent_sets import independent_rounds
 from jaxtissue.dynamics.surface_moves import propose_moves
 from jaxtissue.energy import in_precision
 from jaxtissue.measurement.quadrature import as_resolution
+from jaxtissue.runs.settings import FORMAT, Settings, saved_settings
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 EGG = jt.Ellipsoid(apical_axes=[2, 1, 1], basal_axes=[2.5, 1.5, 1.5])
@@ -116,3 +119,12 @@ def test_ways_back() -> None:
     again = base.reflect(base.chart(after, base.way_back(m, y)))
     np.testing.assert_allclose(again, m, rtol=1e-6)
     assert float(after[0]) == pytest.approx(3.8)
+
+
+def test_settings_of_a_run_on_a_domain() -> None:
+    settings = Settings(domain={"shape": "sphere", "apical_radius": 1, "basal_radius": 2}, cells=CELLS)
+    assert settings.place == jt.Sphere(1.0, 2.0)
+    assert float(settings.annealer(1).model.domain.basal_radius) == 2
+    assert saved_settings({"format": FORMAT, "arguments": asdict(settings)}, {}, "here") == settings
+    with pytest.raises(ValueError, match="domain is a Sphere; only a tube"):
+        _ = settings.tube

@@ -25,7 +25,8 @@ from jaxtissue.compilation.devices import use_cores
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.dynamics.metropolis import warn_of_coarse_places
 from jaxtissue.energy import tube_model
-from jaxtissue.geometry.tube import TUBE_SIZES
+from jaxtissue.geometry.domain_files import domain_values, load_domain
+from jaxtissue.geometry.tube import TUBE_SIZES, Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.annealing import resume_annealing, run_annealing
 from jaxtissue.runs.distributed import Part, join, slurm_part
@@ -88,8 +89,9 @@ def anneal(arguments: dict[str, Any]) -> int:
     """Anneal a tissue into a folder, or take up a run there."""
     use_cores(1)
     folder, force, resume, finish = (arguments.pop(name) for name in ("out", "force", "resume", "finish"))
-    if domain := given_domain(arguments):
-        arguments |= {name: getattr(domain, name) for name in TUBE_SIZES}
+    if domain := given_domain(arguments, load_domain):
+        is_tube = isinstance(domain, Tube)
+        arguments |= {s: getattr(domain, s) for s in TUBE_SIZES} if is_tube else {"domain": domain_values(domain)}
     if resume:
         return resume_annealing(folder, arguments, finish)
     if finish:

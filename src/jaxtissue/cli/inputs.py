@@ -1,5 +1,7 @@
 """What the commands are given: checks of options that go together, and the tissue of files and sizes."""
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from jaxtissue.geometry.domain_files import load_tube
@@ -28,7 +30,7 @@ def read_tissue(arguments: dict[str, Any]) -> tuple[Tube, BackboneTable]:
     return tube, read_backbones(arguments["file"], tube, arguments["degrees"])
 
 
-def given_domain(arguments: dict[str, Any]) -> Tube | None:
+def given_domain(arguments: dict[str, Any], load: Callable[[Path], Any] = load_tube) -> Any:
     """The domain of --domain, which is taken out of the arguments. Raises `ValueError` for sizes beside it."""
     path = arguments.pop("domain", None)
     if path is None:
@@ -37,7 +39,7 @@ def given_domain(arguments: dict[str, Any]) -> Tube | None:
         if name in arguments:
             option = "--" + name.replace("_", "-")
             raise ValueError(f"{option} is a size of the domain in {path}; leave it or --domain out")
-    return load_tube(path)
+    return load(path)
 
 
 def _tube_sizes(arguments: dict[str, Any]) -> list[float]:

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.energy import Model, check_energy, check_parameters, in_precision
-from jaxtissue.geometry.positions import as_positions, check_count
+from jaxtissue.geometry.positions import as_positions, check_count, require_tube
 from jaxtissue.measurement.adhesion import check_adhesion
 from jaxtissue.measurement.quadrature import Resolution, as_resolution, plan_lines
 from jaxtissue.minimization.fire import FIRE
@@ -174,6 +174,7 @@ def relax(
         raise ValueError(f"unknown method {method!r}; use {' or '.join(METHODS)}")
     if steps < 0 or not tolerance > 0:
         raise ValueError(f"steps={steps}, tolerance={tolerance}: give a number of steps and a positive fraction")
+    require_tube(model.domain)
     start = np.asarray(as_positions(positions, model.tube))
     check_count(len(start), model.tube, float(model.mean_volume))
     check_parameters(model.parameters, len(start))

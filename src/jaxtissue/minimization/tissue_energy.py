@@ -7,6 +7,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.energy import Model, cell_energies
+from jaxtissue.geometry.positions import require_tube
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines, trace_lines
 from jaxtissue.measurement.smooth_sizes import find_windows, smooth_sizes
 from jaxtissue.neighbors.neighbor_list import NeighborList
@@ -41,6 +42,7 @@ def tissue_energy(
     >>> slope(positions, tube_model(tube, 40), neighbors, resolution="draft").shape
     (40, 2)
     """
+    require_tube(model.domain)
     tube, resolution = model.tube, as_resolution(resolution)
     is_traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tube))
     plan = trace_lines if is_traced else plan_lines

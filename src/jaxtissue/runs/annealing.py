@@ -17,6 +17,8 @@ from tqdm import tqdm
 from jaxtissue.dynamics.replays import SPAN
 from jaxtissue.dynamics.schedules import has_stalled
 from jaxtissue.dynamics.sweep_log import AcceptanceWatch
+from jaxtissue.geometry.domain_positions import column_names
+from jaxtissue.geometry.tube import Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.reports import contact_summary, tabulate_cells, write_contacts
 from jaxtissue.runs.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
@@ -142,13 +144,15 @@ def _finish(run: Run, ended: bool = True) -> None:
     """
     from jaxtissue.runs.plots import Tissue, plot_energy, plot_surfaces, plot_volumes, save_figure
 
-    say("measuring and drawing" if run.settings.no_contacts else "measuring, tracing contacts, drawing")
     model, settings = run.annealer.model, run.settings
     connectivity, place = None, run.state.positions
-    if not settings.no_contacts:
-        connectivity = find_connectivity(place, settings.tube, settings.minimum_contact)
+    is_tube = isinstance(model.domain, Tube)
+    traced = is_tube and not settings.no_contacts
+    say("measuring, tracing contacts, drawing" if traced else "measuring and drawing")
+    if traced:
+        connectivity = find_connectivity(place, model.tube, settings.minimum_contact)
     columns, summary = tabulate_cells(place, model, settings.resolution, run.names, connectivity)
-    storage.write_backbones(run.folder / "backbones.csv", place, run.names)
+    storage.write_backbones(run.folder / "backbones.csv", place, run.names, column_names(model.domain))
     storage.write_table(run.folder / "cells.csv", columns)
     if connectivity is not None:
         write_contacts(run.folder, connectivity)
@@ -161,12 +165,13 @@ def _finish(run: Run, ended: bool = True) -> None:
     measured = [ends[1]], [summary["energy"]]
     sweeps = storage.read_sweeps(run.folder / "sweeps.csv")
     tissues = [Tissue(f"sweep {sweep}", shown[sweep], volumes[sweep]) for sweep in ends]
-    figures = (
+    figures: list[Any] = [
         partial(plot_energy, sweeps, measured, "total, of the table of cells"),
         partial(plot_volumes, list(volumes), list(volumes.values()), float(model.mean_volume)),
-        partial(plot_surfaces, model.tube, tissues),
-    )
-    for name, draw in zip(FIGURES, figures, strict=True):
+    ]
+    if is_tube:
+        figures.append(partial(plot_surfaces, model.tube, tissues))
+    for name, draw in zip(FIGURES, figures, strict=False):
         save_figure(run.folder / name, draw)
     energy = {"initial": sweeps["energy"][0], "final": sweeps["energy"][-1]}
     energy |= {"final_measured": summary["energy"]}

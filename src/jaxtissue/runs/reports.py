@@ -16,6 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 from jaxtissue.diagram.exact import exact_cells
 from jaxtissue.diagram.spread import covering_radius, separation
 from jaxtissue.energy import Model, require_finite, tissue_energies
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.quadrature import PRESETS, Resolution
 from jaxtissue.runs import storage
@@ -46,6 +47,8 @@ def tabulate_cells(
     `largest_lateral_area_error` are fractions of the mean cell, as the `tolerance` is. Connectivity adds its
     columns and the exact `is_end`; without it, that is what the lines see.
     """
+    if isinstance(model.domain, Domain):
+        return _tabulate_on_domain(np.asarray(positions), model, model.domain, resolution, names)
     axial, angle = np.asarray(positions).T
     positions = model.tube.reflect(jnp.asarray(positions))
     place = np.stack([axial, angle], axis=-1)
@@ -74,11 +77,36 @@ def tabulate_cells(
         "tightness": covering / apart,
         "tiling_defect": float(np.asarray(defect)),
     }
-    # as fractions of the mean cell
+    return columns, summary | _largest_errors(columns)
+
+
+def _tabulate_on_domain(
+    place: Float[np.ndarray, "n d"],
+    model: Model,
+    domain: Domain,
+    resolution: Resolution | str,
+    names: Sequence[str] | None,
+) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """The same on domains other than tubes, without what is of distances between backbones."""
+    cells = measure_tissue(place, domain, resolution)
+    energy = np.asarray(tissue_energies(cells, model))
+    require_finite(energy, model)
+    columns = {"cell": np.arange(len(place))} | dict(zip(domain.columns, place.T, strict=True))
+    columns |= {name: np.asarray(getattr(cells, name)) for name in (*_SIZES, *_ERRORS)}
+    columns |= {"energy": energy, "is_end": np.asarray(cells.touches_end)}
+    columns |= {"name": np.array(names, dtype=object)} if names else {}
+    summary = {f"total_{name}": columns[name].sum(dtype=float) for name in ("volume", "lateral_area")}
+    summary |= {"energy": energy.sum(dtype=float), "tiling_defect": float(np.asarray(cells.tiling_defect))}
+    return columns, summary | _largest_errors(columns)
+
+
+def _largest_errors(columns: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """The largest errors as fractions of the mean cell."""
+    largest = {}
     for size, error in zip(_SIZES, _ERRORS, strict=False):
         mean = columns[size].mean(dtype=float)
-        summary[f"largest_{error}"] = float(columns[error].max() / mean) if mean > 0 else 0.0
-    return columns, summary
+        largest[f"largest_{error}"] = float(columns[error].max() / mean) if mean > 0 else 0.0
+    return largest
 
 
 def contact_summary(connectivity: Connectivity) -> dict[str, Any]:

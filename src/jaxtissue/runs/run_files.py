@@ -16,10 +16,13 @@ from tqdm import tqdm
 from jaxtissue.compilation.modes import random_key
 from jaxtissue.dynamics.annealer import Annealer, AnnealState, renews_at
 from jaxtissue.dynamics.memory import tell_memory
+from jaxtissue.geometry.domain_files import save_domain
+from jaxtissue.geometry.domain_positions import column_names
+from jaxtissue.geometry.tube import Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
 from jaxtissue.runs.reports import CONTACT_TABLES
-from jaxtissue.runs.run_folders import BACKBONES, CELLS, CHECKPOINT, FIGURES, FILES, INITIAL, MANIFEST, SWEEPS
+from jaxtissue.runs.run_folders import BACKBONES, CELLS, CHECKPOINT, DOMAIN, FIGURES, FILES, INITIAL, MANIFEST, SWEEPS
 from jaxtissue.runs.settings import FORMAT, Settings, provenance, saved_settings
 from jaxtissue.system.files import (
     check_files,
@@ -83,9 +86,9 @@ class Run:
 def initial_backbones(settings: Settings) -> BackboneTable:
     """The backbones that a run begins with, and their names."""
     if settings.backbones:
-        return read_backbones(Path(settings.backbones), settings.tube, settings.degrees)
+        return read_backbones(Path(settings.backbones), settings.place, settings.degrees)
     key = random_key(settings.seed)
-    return BackboneTable(np.asarray(settings.tube.random_positions(key, settings.cells)), None)
+    return BackboneTable(np.asarray(settings.place.random_positions(key, settings.cells)), None)
 
 
 def begin(
@@ -93,12 +96,16 @@ def begin(
 ) -> Run:
     """A run before its first sweep, with its first checkpoint on the disk."""
     started = provenance()
-    say(tell_memory(len(initial), settings.tube, settings.resolution, 8 if settings.x64 else 4))
+    domain = settings.place
+    if isinstance(domain, Tube):
+        say(tell_memory(len(initial), domain, settings.resolution, 8 if settings.x64 else 4))
     say(f"annealing {len(initial)} cells in {folder}: compiling")
-    state = annealer.start(settings.tube.reflect(jnp.asarray(initial)))
+    state = annealer.start(domain.reflect(jnp.asarray(initial)))
     record = annealer.record(state)
     make_folder(folder, FILES)
-    storage.write_backbones(folder / INITIAL, initial, names)
+    storage.write_backbones(folder / INITIAL, initial, names, column_names(domain))
+    if settings.domain is not None:
+        save_domain(domain, folder / DOMAIN)
     manifest = {"format": FORMAT, "arguments": asdict(settings), "cooling_sweeps": settings.sweeps} | started
     manifest |= {"finished": None, "compile_seconds": 0.0, "resumed": []}
     run = Run(folder, settings, annealer, state, {0: state.positions}, names, manifest, hashlib.sha256())
@@ -118,9 +125,9 @@ def take_up(folder: Path, given: Mapping[str, Any], finish: bool) -> Run | None:
         raise ValueError(f"{folder / 'manifest.json'} is damaged (it lacks {missing[0]!r}); {AGAIN}")
     jax.config.update("jax_enable_x64", settings.x64)
     check_files(folder, {INITIAL: manifest["files"][INITIAL]}, AGAIN)
-    initial = read_backbones(folder / INITIAL, settings.tube)
+    initial = read_backbones(folder / INITIAL, settings.place)
     if given.get("backbones"):
-        same = read_backbones(Path(given["backbones"]), settings.tube, settings.degrees)
+        same = read_backbones(Path(given["backbones"]), settings.place, settings.degrees)
         if same.names != initial.names or not np.array_equal(same.positions, initial.positions):
             raise ValueError(f"--backbones {given['backbones']} differs from the run to resume; leave it out")
     checkpoint = storage.load_checkpoint(folder / CHECKPOINT)

@@ -19,6 +19,8 @@ from jaxtissue.compilation.fusion import options
 from jaxtissue.dynamics.annealer import Annealer
 from jaxtissue.dynamics.schedules import constant_schedule, geometric_schedule
 from jaxtissue.energy import Model, tube_model
+from jaxtissue.geometry.domain_files import read_domain
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
 
 FORMAT = 1  # of what a folder keeps; raised when other code would play other sweeps, or read it otherwise
@@ -32,7 +34,8 @@ class Settings:
     `backbones` is a CSV file to start from, its angles in `degrees` or radians; else `cells` random ones are
     made from `seed`. A `final_temperature` makes the cooling geometric. The run ends early when the energy
     has not fallen for `patience` sweeps (0: never). Walls below `minimum_contact`, a fraction of the mean
-    wall, are no contacts. `relative` constants and temperatures are those of `tube_model`.
+    wall, are no contacts. `relative` constants and temperatures are those of `tube_model`. A `domain` is that of a
+    file, shape and sizes, in place of the sizes of the tube.
     """
 
     length: float = 100.0
@@ -54,11 +57,22 @@ class Settings:
     minimum_contact: float = 0.0
     no_contacts: bool = False
     x64: bool = False
+    domain: Mapping[str, Any] | None = None
+
+    @property
+    def place(self) -> Tube | Domain:
+        """The tube or other domain of the tissue. Raises `ValueError` for sizes that make none."""
+        if self.domain is not None:
+            return read_domain(self.domain)
+        return Tube(self.length, self.apical_radius, self.basal_radius)
 
     @property
     def tube(self) -> Tube:
-        """The tube. Raises `ValueError` for sizes that make none."""
-        return Tube(self.length, self.apical_radius, self.basal_radius)
+        """The domain, for what takes only tubes. Raises `ValueError` for other domains."""
+        place = self.place
+        if not isinstance(place, Tube):
+            raise ValueError(f"the tissue's domain is a {type(place).__name__}; only a tube can be taken here yet")
+        return place
 
     def temperatures(self, cooling_sweeps: int) -> Float[np.ndarray, "sweeps"]:
         """Temperature of each sweep: constant, or falling over the first `cooling_sweeps` and then held."""
@@ -71,7 +85,7 @@ class Settings:
     @property
     def model(self) -> Model:
         """The energy of the run. Raises `ValueError` for constants that make none."""
-        return tube_model(self.tube, self.cells, self.modulus, self.tension, relative=self.relative)
+        return tube_model(self.place, self.cells, self.modulus, self.tension, relative=self.relative)
 
     def annealer(self, cooling_sweeps: int) -> Annealer:
         """The annealer of the run. Raises `ValueError` for settings that cannot be annealed."""
