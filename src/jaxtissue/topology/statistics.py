@@ -8,9 +8,11 @@ import networkx as nx
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float
 
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.topology.contacts import Contacts, find_contacts, find_faces
+from jaxtissue.topology.domain_connectivity import connect_domain
 from jaxtissue.topology.edges import trace_edges
 from jaxtissue.topology.traced_sizes import TracedSizes, find_ends, traced_sizes
 from jaxtissue.topology.transitions import CellForms, Transitions, find_forms, find_transitions
@@ -21,14 +23,17 @@ SURFACES = {"apical": ("apical_basal", "apical"), "basal": ("apical_basal", "bas
 
 @dataclass(frozen=True)
 class Connectivity:
-    """The contacts, transition points, forms and sizes of the cells of a tissue, from one tracing of its edges.
+    """The contacts, transition points, forms and sizes of the cells of a tissue.
 
     Attributes:
         contacts: The pairs of cells that share a wall.
         transitions: The transition points.
         forms: Which cells go round the lumen, and the number of pieces of each cell.
-        is_end: Whether each cell touches an end plane, x = 0 or x = L, [n].
-        sizes: The sizes of all cells, in 64 bits, or None where edges could not be followed.
+        is_end: Whether each cell touches an end of the tissue, x = 0 or x = L in a tube, [n].
+        sizes: The sizes of all cells, in 64 bits; None where edges could not be followed, and on other domains.
+        stretch_anisotropy: The ratio of the larger to the smaller stretch from the apical to the basal surface at each
+            backbone, (1 + k_1 h) / (1 + k_2 h) or its inverse for curvatures k_1 and k_2, [n]; None for a `Tube`, where
+            it is R_b / R_a throughout.
     """
 
     contacts: Contacts
@@ -36,18 +41,27 @@ class Connectivity:
     forms: CellForms
     is_end: Bool[np.ndarray, " n"]
     sizes: TracedSizes | None = None
+    stretch_anisotropy: Float[np.ndarray, " n"] | None = None
 
 
-def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold: float = 0.0) -> Connectivity:
+def find_connectivity(
+    positions: Float[ArrayLike, "n d"], domain: Tube | Domain, threshold: float = 0.0
+) -> Connectivity:
     """Find which cells touch, and where they exchange neighbors along their height (paper, section 4.4).
 
     Beside contacts and transition points this gives the form of each cell (whether it goes all the way round the lumen,
-    and the number of its connected parts), whether it touches an end of the tube, and its size. All come from one
-    tracing of the edges of the Voronoi diagram, in 64 bits.
+    and the number of its connected parts), whether it touches an end of the tube, and its size. In a `Tube` all come
+    from one tracing of the edges of the Voronoi diagram, in 64 bits.
+
+    On other domains the cells of the apical surface are followed up to the basal one, layer by layer, in 64 bits. Where
+    four cells exchange neighbors, their transition point is found by Newton's method; layers are added until every
+    change between two of them is explained by such points, and a warning counts those that are not. Cells that go all
+    the way round, and parts of cells that are cut off, are not followed there.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        tube: The tube that the backbones stand in.
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes; on other domains
+            than a tube their coordinates, [n, 2], or unit vectors, [n, 3].
+        domain: The tube that the backbones stand in, or any other domain.
         threshold: Walls smaller than this fraction of the mean wall area are left out of the contacts; no other result
             depends on it.
 
@@ -55,7 +69,8 @@ def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold:
         The results, in one record.
 
     Raises:
-        ValueError: If `as_positions` refuses the positions, or if the threshold is negative or not a number.
+        ValueError: If `as_positions` refuses the positions, if the threshold is negative or not a number, or, on other
+            domains than a `Tube`, if a cell goes all the way round or touches its own copy.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> len(four.contacts.pairs), four.transitions.per_cell.tolist(), four.is_end.tolist()
@@ -63,15 +78,17 @@ def find_connectivity(positions: Float[ArrayLike, "n 2"], tube: Tube, threshold:
     """
     if not threshold >= 0:
         raise ValueError(f"threshold={threshold}; give a fraction of the mean wall, 0 or more")
-    place = as_positions(positions, tube, np.float64)
-    edges = trace_edges(place, tube)
+    if isinstance(domain, Domain):
+        return Connectivity(**connect_domain(positions, domain, threshold)._asdict())
+    place = as_positions(positions, domain, np.float64)
+    edges = trace_edges(place, domain)
     faces = find_faces(edges)
     return Connectivity(
-        find_contacts(place, tube, threshold, edges, faces),
-        find_transitions(place, tube, edges, faces),
-        find_forms(place, tube, edges, faces),
+        find_contacts(place, domain, threshold, edges, faces),
+        find_transitions(place, domain, edges, faces),
+        find_forms(place, domain, edges, faces),
         find_ends(edges),
-        traced_sizes(edges, faces, tube),
+        traced_sizes(edges, faces, domain),
     )
 
 
@@ -86,7 +103,7 @@ def tabulate_connectivity(connectivity: Connectivity) -> dict[str, np.ndarray]:
         `basal_neighbors` and `internal_neighbors` split them by the surfaces that the common wall reaches: both, the
         apical one only, the basal one only, or neither. `transitions` counts the transition points of the cell, and
         `is_scutoid` tells whether it has any. `is_ring` tells whether the cell goes all the way round the lumen, and
-        `pieces` is the number of its connected parts.
+        `pieces` is the number of its connected parts. On other domains than a `Tube` there is `stretch_anisotropy`.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> tabulate_connectivity(four)["neighbors"].tolist()
@@ -97,7 +114,9 @@ def tabulate_connectivity(connectivity: Connectivity) -> dict[str, np.ndarray]:
     columns |= {f"{kind}_neighbors": contacts.degree(kind) for kind in KIND_ORDER}
     columns |= {"transitions": connectivity.transitions.per_cell}
     columns |= {"is_scutoid": connectivity.transitions.is_scutoid}
-    return columns | {"is_ring": forms.is_ring, "pieces": forms.pieces}
+    columns |= {"is_ring": forms.is_ring, "pieces": forms.pieces}
+    stretch = connectivity.stretch_anisotropy
+    return columns if stretch is None else columns | {"stretch_anisotropy": stretch}
 
 
 def summarize_connectivity(connectivity: Connectivity, inner_only: bool = False) -> dict[str, float]:

@@ -26,12 +26,14 @@ class Transitions:
         cells: The four cells that meet at each, [k, 4], sorted.
         per_cell: The number of transition points of each cell, [n].
         open_ends: The number of edges that could not be followed; if it is not 0, points may be missing.
+        height: How far up each is, [k], 0 on the apical and 1 on the basal surface; None in a `Tube`.
     """
 
     points: Float[np.ndarray, "k 3"]
     cells: Int[np.ndarray, "k 4"]
     per_cell: Int[np.ndarray, " n"]
     open_ends: int
+    height: Float[np.ndarray, " k"] | None = None
 
     @property
     def is_scutoid(self) -> Bool[np.ndarray, " n"]:

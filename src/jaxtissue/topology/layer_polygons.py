@@ -1,0 +1,147 @@
+"""The sections of all cells on one layer as polygons, nearly: which cells touch there, but for very short walls."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxtissue.sections.crowd import extended, first_lists, missing
+from jaxtissue.topology.layer_gaps import LayerGaps
+
+ROUNDS = 8
+FAR, PARALLEL = 1e6, 1e-9  # in mean widths; the sine of an angle
+
+
+class Polygons(NamedTuple):
+    """The lines that bound each cell's section, [n, l]: those of its candidates and then the four limits.
+
+    Attributes:
+        is_edge: Which of them have an edge.
+        turn: The direction of the line's normal.
+        length: The length of the edge.
+        corner: Where the edge ends, counterclockwise, on the base surface, [n, l, d].
+        point: And in space.
+    """
+
+    is_edge: Bool[np.ndarray, "n l"]
+    turn: Float[np.ndarray, "n l"]
+    length: Float[np.ndarray, "n l"]
+    corner: Float[np.ndarray, "n l d"]
+    point: Float[np.ndarray, "n l 3"]
+
+
+class _Lines(NamedTuple):
+    """The half planes n . z <= c of each cell."""
+
+    normal: Float[np.ndarray, "n l 2"]
+    offset: Float[np.ndarray, "n l"]
+
+
+def complete_polygons(
+    gaps: LayerGaps, positions: Float[np.ndarray, "n d"], height: float, passes: int
+) -> tuple[Polygons, Int[np.ndarray, "n q"]]:
+    """The polygons of a layer, on lists of candidates that grow until none lacks a neighbor; see `_polygons`."""
+    lists, rounds = first_lists(gaps.crowd), 0
+    while True:
+        found = _polygons(gaps, positions, lists.T, height, passes)
+        cells = np.broadcast_to(np.arange(gaps.count)[:, None], found.is_edge.shape)[found.is_edge]
+        pairs, _ = missing(gaps.crowd, lists, found.point[found.is_edge], cells)
+        rounds += 1
+        if not len(pairs) or rounds == ROUNDS:
+            return found, lists.T
+        lists = extended(lists, pairs)
+
+
+def _polygons(
+    gaps: LayerGaps, positions: Float[np.ndarray, "n d"], lists: Int[np.ndarray, "n q"], height: float, passes: int
+) -> Polygons:
+    """Polygons of the walls as lines, each taken so many times where it has its edge, or else nearest to one."""
+    n, q = lists.shape
+    flat = gaps.look(positions, np.zeros((n, 2)), np.full(n, height))
+    across = flat.columns[..., :2]
+    basis = np.linalg.inv(np.swapaxes(np.linalg.cholesky(np.swapaxes(across, 1, 2) @ across), 1, 2))
+    limits = _limits(gaps, positions, basis)
+    start, along = (part.reshape(-1, 3)[lists] for part in (gaps.start, gaps.along))
+    away = _offset(start, along, flat.point[:, None])
+    z = -0.5 * np.einsum("nqi,nij->nqj", away, across @ basis)
+    while True:
+        spots = gaps.look(np.repeat(positions, q, axis=0), (z @ np.swapaxes(basis, 1, 2)).reshape(-1, 2),
+                          np.full(n * q, height))  # fmt: skip
+        point = spots.point.reshape(n, q, 3)
+        mine = _offset(gaps.start[0][:, None], gaps.along[0][:, None], point)
+        theirs = _offset(start, along, point)
+        apart = theirs - mine
+        slope = 2 * np.einsum("nqi,nqij->nqj", apart, spots.columns[..., :2].reshape(n, q, 3, 2) @ basis[:, None])
+        steep = np.maximum(np.linalg.norm(slope, axis=-1), 1e-300)
+        normal = -slope / steep[..., None]
+        offset = ((apart * (theirs + mine)).sum(axis=-1)) / steep + (normal * z).sum(axis=-1)
+        there = (lists >= 0) & (steep > 1e-9 * np.linalg.norm(apart, axis=-1))
+        normal = np.where(there[..., None], normal, [1.0, 0.0])
+        lines = _Lines(np.concatenate([normal, limits.normal], axis=1),
+                       np.concatenate([np.where(there, offset, FAR * gaps.width), limits.offset], axis=1))  # fmt: skip
+        low, high = _cut(lines, FAR * gaps.width)
+        passes -= 1
+        if not passes:
+            break
+        z = _nearer(lines, low, high)[:, :q]
+    is_edge = low < high
+    end = lines.offset[..., None] * lines.normal + np.where(is_edge, high, 0)[..., None] * _turned(lines.normal)
+    where = np.where(is_edge[..., None], end, 0) @ np.swapaxes(basis, 1, 2)
+    corner = gaps.look(np.repeat(positions, q + 4, axis=0), where.reshape(-1, 2), np.full(n * (q + 4), height))
+    turn = np.arctan2(lines.normal[..., 1], lines.normal[..., 0])
+    return Polygons(is_edge, turn, np.where(is_edge, high - low, 0), corner.place.reshape(n, q + 4, -1),
+                    corner.point.reshape(n, q + 4, 3))  # fmt: skip
+
+
+def _limits(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], basis: Float[np.ndarray, "n 2 2"]) -> _Lines:
+    """The limits of sections, low and then high in both coordinates, as lines."""
+    with jax.enable_x64(True):
+        limits = gaps.base.limits(tuple(map(jnp.asarray, positions.T)))
+    normal, offset = [], []
+    for sign, side in ((-1, limits.low), (1, limits.high)):
+        for k in range(2):
+            row = sign * basis[:, k]
+            size = np.linalg.norm(row, axis=1)
+            normal.append(row / size[:, None])
+            offset.append(sign * np.asarray(side[k]) / size)
+    return _Lines(np.stack(normal, axis=1), np.stack(offset, axis=1))
+
+
+def _cut(lines: _Lines, far: float) -> tuple[Float[np.ndarray, "n l"], Float[np.ndarray, "n l"]]:
+    """From where to where along its direction each line bounds the polygon; nowhere if the first is not less."""
+    low, high = np.full(lines.offset.shape, -far), np.full(lines.offset.shape, far)
+    along = _turned(lines.normal)
+    for k in range(lines.offset.shape[1]):
+        normal, offset = lines.normal[:, k, None], lines.offset[:, k, None]
+        slope, room = (normal * along).sum(axis=-1), offset - lines.offset * (normal * lines.normal).sum(axis=-1)
+        crossed = np.abs(slope) > PARALLEL
+        at = room / np.where(crossed, slope, 1)
+        high = np.where(crossed & (slope > 0), np.minimum(high, at), high)
+        low = np.where(crossed & (slope < 0), np.maximum(low, at), low)
+        behind = ~crossed & (room < -1e-9 * far * 1e-6)
+        behind[:, k] = False
+        high = np.where(behind, -far, high)
+    return low, high
+
+
+def _nearer(lines: _Lines, low: np.ndarray, high: np.ndarray) -> Float[np.ndarray, "n l 2"]:
+    """The middles of edges; for lines without one, the corner that lies farthest their way."""
+    is_edge, foot, along = low < high, lines.offset[..., None] * lines.normal, _turned(lines.normal)
+    middle = foot + np.where(is_edge, (low + high) / 2, 0)[..., None] * along
+    end = foot + np.where(is_edge, high, 0)[..., None] * along
+    reach = np.where(is_edge[:, None], np.einsum("nli,nki->nlk", lines.normal, end), -np.inf)
+    corner = np.take_along_axis(end, reach.argmax(axis=-1)[..., None], axis=1)
+    return np.where(is_edge[..., None], middle, corner)
+
+
+def _turned(vector: np.ndarray) -> np.ndarray:
+    return np.stack([-vector[..., 1], vector[..., 0]], axis=-1)
+
+
+def _offset(start: np.ndarray, along: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """From the nearest points of segments to points."""
+    way = point - start
+    share = np.clip((way * along).sum(axis=-1) / (along**2).sum(axis=-1), 0, 1)
+    return way - share[..., None] * along
