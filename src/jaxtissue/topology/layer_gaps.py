@@ -17,8 +17,6 @@ from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain, in_doubles
 from jaxtissue.geometry.vectors import Vector, rows
-from jaxtissue.sections.crowd import Crowd
-from jaxtissue.sections.views import Segments
 
 CHUNK = 2048  # places looked at in one call: always as many, so that one program serves all
 TURNS = 12  # most steps of Newton's method
@@ -75,12 +73,6 @@ class LayerGaps:
         ends = np.concatenate([self.start[0], self.start[0] + self.along[0]])
         self.size = float(np.linalg.norm(np.ptp(ends, axis=0)))
         self.width = 0.5 * float(np.sqrt(float(domain.basal_area) / self.count))
-
-    @property
-    def crowd(self) -> Crowd:
-        """All backbones and their copies."""
-        start, along = (tuple(part.reshape(-1, 3).T) for part in (self.start, self.along))
-        return Crowd(Segments(start, along), self.count)  # type: ignore[arg-type]
 
     def look(
         self,

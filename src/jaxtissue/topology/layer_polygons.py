@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 
-from jaxtissue.sections.crowd import extended, first_lists, missing
 from jaxtissue.topology.layer_gaps import LayerGaps
 
-ROUNDS = 8
+ROUNDS, NEAREST, LOOKED_AT, SAMPLES, ROUNDING = 8, 17, 10, 9, 1e-6
 FAR, PARALLEL = 1e6, 1e-9  # in mean widths; the sine of an angle
 
 
@@ -43,15 +43,46 @@ def complete_polygons(
     gaps: LayerGaps, positions: Float[np.ndarray, "n d"], height: float, passes: int
 ) -> tuple[Polygons, Int[np.ndarray, "n q"]]:
     """The polygons of a layer, on lists of candidates that grow until none lacks a neighbor; see `_polygons`."""
-    lists, rounds = first_lists(gaps.crowd), 0
+    lists, rounds = _nearest(gaps), 0
     while True:
-        found = _polygons(gaps, positions, lists.T, height, passes)
+        found = _polygons(gaps, positions, lists, height, passes)
         cells = np.broadcast_to(np.arange(gaps.count)[:, None], found.is_edge.shape)[found.is_edge]
-        pairs, _ = missing(gaps.crowd, lists, found.point[found.is_edge], cells)
+        pairs = _lacking(gaps, lists, found.point[found.is_edge], cells)
         rounds += 1
         if not len(pairs) or rounds == ROUNDS:
-            return found, lists.T
-        lists = extended(lists, pairs)
+            return found, lists
+        cell, other = pairs.T
+        slot = np.arange(len(cell)) - np.searchsorted(cell, cell)
+        more = np.full((gaps.count, slot.max() + 1), -1)
+        more[cell, slot] = other
+        lists = np.concatenate([lists, more], axis=1)
+
+
+def _nearest(gaps: LayerGaps) -> Int[np.ndarray, "n q"]:
+    """The nearest backbones of each cell on three layers, copies included, each once; -1 in their place else."""
+    found = []
+    for h in (0.0, 0.5, 1.0):
+        points = (gaps.start + h * gaps.along).reshape(-1, 3)
+        found.append(KDTree(points).query(points[: gaps.count], min(NEAREST, len(points)))[1].reshape(gaps.count, -1))
+    listed = np.sort(np.concatenate(found, axis=1), axis=1)
+    listed[:, 1:][listed[:, 1:] == listed[:, :-1]] = -1
+    listed[listed == np.arange(gaps.count)[:, None]] = -1
+    return listed
+
+
+def _lacking(
+    gaps: LayerGaps, lists: Int[np.ndarray, "n q"], points: Float[np.ndarray, "p 3"], cells: Int[np.ndarray, " p"]
+) -> Int[np.ndarray, "m 2"]:
+    """Pairs of a cell and a backbone that its list lacks, though it is nearer to a corner of the cell, in order."""
+    start, along = gaps.start.reshape(-1, 3), gaps.along.reshape(-1, 3)
+    share = np.linspace(0, 1, SAMPLES)[:, None]
+    tree = KDTree((start[:, None] + share * along[:, None]).reshape(-1, 3))
+    found = tree.query(points, min(LOOKED_AT, tree.n))[1].reshape(len(points), -1) // SAMPLES
+    own = np.linalg.norm(_offset(start[cells], along[cells], points), axis=-1)
+    others = np.linalg.norm(_offset(start[found], along[found], points[:, None]), axis=-1)
+    listed = (lists[cells][:, None] == found[..., None]).any(axis=-1) | (found == cells[:, None])
+    row, column = np.nonzero(~listed & (others < (1 - ROUNDING) * own[:, None]))
+    return np.unique(np.stack([cells[row], found[row, column]], axis=1), axis=0)
 
 
 def _polygons(

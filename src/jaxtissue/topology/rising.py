@@ -62,7 +62,7 @@ class Rise(NamedTuple):
     unexplained: int
 
 
-class Leads(NamedTuple):
+class SideGaps(NamedTuple):
     """How far beyond each junction the label across each side is, and how this grows with the height, [t, 3]."""
 
     ahead: Float[np.ndarray, "t 3"]
@@ -70,8 +70,8 @@ class Leads(NamedTuple):
     drift: Float[np.ndarray, "t 2"]
 
 
-def side_leads(gaps: LayerGaps, junctions: Junctions, spots: Spots) -> Leads:
-    """The leads of the labels across the sides of junctions that are at the given spots."""
+def side_gaps(gaps: LayerGaps, junctions: Junctions, spots: Spots) -> SideGaps:
+    """The gaps of the labels across the sides of junctions that are at the given spots."""
     count = len(junctions.labels)
     order = np.sort(junctions.labels, axis=1)
     rival = junctions.labels[np.maximum(junctions.beside, 0), junctions.side]
@@ -82,7 +82,7 @@ def side_leads(gaps: LayerGaps, junctions: Junctions, spots: Spots) -> Leads:
     rate = lead.slope[:, 2:, 2] + np.einsum("tki,ti->tk", lead.slope[:, 2:, :2], drift)
     steep = np.maximum(lead.steep[:, 2:], 1e-300)
     ahead = np.where(junctions.beside < 0, np.inf, lead.value[:, 2:] / steep)
-    return Leads(ahead.reshape(count, 3), rate / steep, drift)
+    return SideGaps(ahead.reshape(count, 3), rate / steep, drift)
 
 
 class _Climb:
@@ -100,9 +100,9 @@ class _Climb:
         now, row = self.now, np.zeros(0, int)
         for _ in range(8 * ROUNDS):
             spots, _, done = self.gaps.meet(np.sort(now.labels, axis=1), now.place, now.at)
-            leads = side_leads(self.gaps, now, spots)
-            now.place, now.drift = spots.place, leads.drift
-            row, side = failing(self.gaps, now, leads, done)
+            found_gaps = side_gaps(self.gaps, now, spots)
+            now.place, now.drift = spots.place, found_gaps.drift
+            row, side = failing(self.gaps, now, found_gaps, done)
             row, side = row[done[row]], side[done[row]]
             if not len(row):
                 return
@@ -118,7 +118,7 @@ class _Climb:
     def step(self, low: float, high: float, force: bool) -> bool:
         """Go from one layer to the next; False, and nothing done, where a change can't be explained."""
         begun, lives, pieces, flips = self.now.copy(), self.lives, len(self.pieces), len(self.flips)
-        before = side_leads(self.gaps, begun, self.gaps.look(begun.place, 0 * begun.drift, begun.at))
+        before = side_gaps(self.gaps, begun, self.gaps.look(begun.place, 0 * begun.drift, begun.at))
         now, known = self.now, np.zeros(len(begun.at), bool)
         spots = self.gaps.look(now.place, now.drift * (high - now.at)[:, None], np.full(len(now.at), high))
         done, row = known.copy(), np.zeros(0, int)
@@ -132,13 +132,13 @@ class _Climb:
                 for part, new in zip(spots, found, strict=True):
                     part[open_] = new
                 done[open_], known[open_] = fine, True
-            leads = side_leads(self.gaps, now, spots)
-            row, side = failing(self.gaps, now, leads, done)
+            found_gaps = side_gaps(self.gaps, now, spots)
+            row, side = failing(self.gaps, now, found_gaps, done)
             if not len(row):
-                if not force and self._may_return(begun, before, leads, high - low):
+                if not force and self._may_return(begun, before, found_gaps, high - low):
                     break
                 self._close(high)
-                now.place, now.at[:], now.drift, now.since[:] = spots.place, high, leads.drift, high
+                now.place, now.at[:], now.drift, now.since[:] = spots.place, high, found_gaps.drift, high
                 return True
             if not self._flip(row, side, low, high, known):
                 break
@@ -160,8 +160,8 @@ class _Climb:
         begin = np.maximum(now.at[row], now.at[other])
         # where the lead, as it falls, is lost
         here = self.gaps.look(now.place[row], 0 * now.drift[row], now.at[row])
-        leads = side_leads(self.gaps, now, self.gaps.look(now.place, 0 * now.drift, now.at))
-        ahead, rate = leads.ahead[row, side], leads.rate[row, side]
+        found_gaps = side_gaps(self.gaps, now, self.gaps.look(now.place, 0 * now.drift, now.at))
+        ahead, rate = found_gaps.ahead[row, side], found_gaps.rate[row, side]
         wait = np.where(rate < 0, ahead / np.where(rate < 0, -rate, 1), high - low)
         guess = np.clip(now.at[row] + wait, begin, high)
         away = now.drift[row] * (guess - now.at[row])[:, None]
@@ -187,7 +187,7 @@ class _Climb:
     def _turn(self) -> None:
         """Find the drift of all junctions anew, where they are."""
         now = self.now
-        now.drift = side_leads(self.gaps, now, self.gaps.look(now.place, 0 * now.drift, now.at)).drift
+        now.drift = side_gaps(self.gaps, now, self.gaps.look(now.place, 0 * now.drift, now.at)).drift
 
     def _close(self, high: float, sides: list[tuple[int, int]] | None = None) -> None:
         """Note the edges of some sides, or of all, as they were up to a height."""
@@ -200,7 +200,7 @@ class _Climb:
                                   now.since[row, side].copy(), np.full(len(row), high),
                                   now.life[row, side].copy()))  # fmt: skip
 
-    def _may_return(self, begun: Junctions, before: Leads, after: Leads, step: float) -> bool:
+    def _may_return(self, begun: Junctions, before: SideGaps, after: SideGaps, step: float) -> bool:
         """Whether a side that has not flipped may have flipped and flipped back, by the cubic through both layers."""
         now = self.now
         same = (now.at == begun.at)[:, None] & (now.at == begun.at)[np.maximum(now.beside, 0)]
@@ -215,7 +215,7 @@ class _Climb:
 
 
 def failing(
-    gaps: LayerGaps, now: Junctions, leads: Leads, done: Bool[np.ndarray, " t"]
+    gaps: LayerGaps, now: Junctions, found_gaps: SideGaps, done: Bool[np.ndarray, " t"]
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
     """The sides whose far label is nearer than the junction's own, or that end at a junction which is not known."""
     row, side = now.edges()
@@ -223,7 +223,9 @@ def failing(
     quads = now.quads(row, side)
     able = (quads[:, 2] != quads[:, 3]) & (quads[:, 2:].min(axis=1) < gaps.count)
     tie = -TIE * gaps.size
-    behind = ~((leads.ahead[row, side] >= tie) & (leads.ahead[other, back] >= tie)) | ~done[row] | ~done[other]
+    behind = (
+        ~((found_gaps.ahead[row, side] >= tie) & (found_gaps.ahead[other, back] >= tie)) | ~done[row] | ~done[other]
+    )
     return row[able & behind], side[able & behind]
 
 
