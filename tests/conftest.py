@@ -19,7 +19,7 @@ from quick import ASKED, SHORT_LOOPS, quick_settings
 from jaxtissue.compilation.batching import PROGRAMS
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.neighbors import search
-from jaxtissue.runs import plots
+from jaxtissue.runs import formats, plots
 from jaxtissue.tissue import measurer, refinement
 
 DATA = Path(__file__).parent / "data"
@@ -47,6 +47,14 @@ def keep_compiled(tmp_path_factory, worker_id):
             patch.setenv(name.upper(), str(value))
             jax.config.update(name, value)
         reset_cache()
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def leave_no_scenes():
+    """Runs leave pictures in three dimensions only where a test asks for them: each takes a second."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(formats, "LEFT", ())
         yield
 
 

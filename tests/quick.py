@@ -12,6 +12,7 @@ from jaxtissue.compilation import batching, fusion
 from jaxtissue.compilation.fusion import is_option
 from jaxtissue.measurement import walls
 from jaxtissue.neighbors import search
+from jaxtissue.runs import formats
 from jaxtissue.sections import half_planes
 from jaxtissue.tissue import measurer, refinement
 
@@ -71,6 +72,7 @@ def meet(folder: Path, name: str, count: int) -> None:
 
 
 def run() -> None:
-    """`jaxtissue` in a process that a test started."""
+    """`jaxtissue` in a process that a test started; it draws nothing in three dimensions."""
     compile_as_asked()
+    formats.LEFT = ()
     run_command()

@@ -109,7 +109,7 @@ def test_anneal_leaves_tables_figures_and_a_manifest(annealed):
     assert {path.name for path in annealed.iterdir()} == {
         *("manifest.json", "initial_backbones.csv", "backbones.csv", "cells.csv", "sweeps.csv"),
         *("contacts.csv", "transitions.csv"),
-        *("checkpoint.npz", "energy.png", "volumes.png", "surfaces.png"),
+        *("checkpoint.npz", "energy.png", "volumes.png", "surfaces.png", "index.html"),
     }
     sweeps, cells = read_table(annealed / "sweeps.csv"), read_table(annealed / "cells.csv")
     assert column(sweeps, "sweep").tolist() == list(range(51))
@@ -346,7 +346,9 @@ def test_small_contacts_are_left_out_and_old_tables_removed(annealed, tmp_path):
     assert column(read_table(folder / "cells.csv"), "neighbors").sum() == 2 * len(kept)
     assert (folder / "transitions.csv").read_bytes() == (annealed / "transitions.csv").read_bytes()
     assert main([*run, "--no-contacts", "--force"]) == 0
-    assert {path.name for path in folder.iterdir()} == {*("backbones.csv", "domain.json", "cells.csv", "summary.json")}
+    assert {path.name for path in folder.iterdir()} == {
+        *("backbones.csv", "domain.json", "cells.csv", "summary.json", "surfaces.png", "index.html")
+    }
     assert ",".join(read_table(folder / "cells.csv")[0]) == SIZE_COLUMNS
     assert list(json.loads((folder / "summary.json").read_text())) == SIZES_SUMMED
 

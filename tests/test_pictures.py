@@ -1,5 +1,7 @@
 """Pictures in three dimensions: they show the cells that they are to show, in colors that stay."""
 
+import sys
+
 import jax
 import numpy as np
 import pytest
@@ -9,11 +11,15 @@ from matplotlib.image import imread
 from jaxtissue.cli.commands import main
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.meshes.cell_meshes import mesh_cells
 from jaxtissue.meshes.coloring import PALETTE, spread_colors
 from jaxtissue.pictures.bodies import body
+from jaxtissue.pictures.outsides import cut_open
 from jaxtissue.pictures.scenes import centers
+from jaxtissue.runs import formats
 from jaxtissue.runs.backbone_files import BackboneTable
 from jaxtissue.runs.formats import VIEWED
+from jaxtissue.runs.plots import label_surface
 from jaxtissue.runs.run_folders import save_tissue
 from jaxtissue.runs.viewing import VIEWS, find_scutoid, view_tissue
 
@@ -30,6 +36,27 @@ def tissue() -> TissueRecord:
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
     monkeypatch.setattr("jaxtissue.pictures.scenes.SIZE", (240, 160))
+    monkeypatch.setattr("jaxtissue.pictures.outsides.PIXELS", 30_000)
+
+
+@pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
+def test_measure_leaves_pictures_and_a_page_that_needs_nothing_else(tissue, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(formats, "LEFT", ("tissue", "scutoid"))
+    save_tissue(tmp_path, TUBE, BackboneTable(tissue.positions, None))
+    given = [str(tmp_path / "backbones.csv"), "--domain", str(tmp_path / "domain.json"), "--out"]
+    assert main(["measure", *given, str(tmp_path / "measured")]) == 0
+    assert {path.name for path in (tmp_path / "measured").glob("*.png")} == {
+        "tissue.png",
+        "scutoid.png",
+        "surfaces.png",
+    }
+    page = (tmp_path / "measured" / "index.html").read_text()
+    assert page.count("src='data:image/png;base64,") == page.count("src=") == 3
+    assert "http" not in page and "scutoid fraction" in page
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    with pytest.warns(UserWarning, match=r"tissue.png is left out: .* pip install 'jaxtissue\[viz\]'"):
+        assert main(["measure", *given, str(tmp_path / "flat")]) == 0
+    assert [path.name for path in (tmp_path / "flat").glob("*.png")] == ["surfaces.png"]
 
 
 def test_every_view_has_a_function():
@@ -42,6 +69,28 @@ def test_neighbors_have_other_colors_which_the_rest_does_not_change():
     assert (colors[ring[:, 0]] != colors[ring[:, 1]]).all() and set(colors) <= set(range(len(PALETTE)))
     longer = spread_colors(60, np.concatenate([ring, [[50, 51]]]))
     np.testing.assert_array_equal(longer[:40], colors)
+
+
+def test_faces_show_the_cells_on_the_outside(tissue):
+    faces = cut_open(tissue.positions, TUBE, 20_000)
+    pairs = {tuple(pair) for face in faces for pair in face.pairs().tolist()}
+    assert pairs <= {tuple(pair) for pair in tissue.connectivity.contacts.pairs.tolist()} and len(pairs) > 20
+    share = np.bincount(faces[0].cells.ravel(), minlength=CELLS) / faces[0].cells.size
+    whole = np.bincount(label_surface(tissue.positions, TUBE, "basal", (60, 80)).ravel(), minlength=CELLS) / 4800
+    # 1 % of the surface: pixels; cells between the angles that are left out are shown in part, or not
+    assert (0.75 * share < whole + 0.01).all() and (np.abs(0.75 * share - whole) < 0.01).sum() >= 8
+    radius = np.hypot(faces[0].points[..., 1], faces[0].points[..., 2])
+    np.testing.assert_allclose(radius, 3)
+
+
+def test_a_few_cells_are_meshed_as_all_are(tissue):
+    few, all_ = mesh_cells(tissue.positions, TUBE, 1e-3, [3, 5]), tissue.meshes
+    own = np.isin(np.arange(CELLS), [3, 5])
+    assert few.is_closed(own) and all_.is_closed(np.ones(CELLS, bool)) and not few.is_closed(~own)
+    volume = np.array([np.linalg.det(p[t]).sum() / 6 for p, t, _ in map(few.cell, (3, 5))])
+    # both within the tolerance: 1e-3 of the cell for each triangle
+    np.testing.assert_allclose(volume, tissue.connectivity.sizes.volume[[3, 5]], rtol=0.03)
+    assert set(few.cell(3)[2]) == set(all_.cell(3)[2]) and len(few.triangles) < len(all_.triangles)
 
 
 def test_a_body_is_the_outside_of_its_cells(tissue):
@@ -69,7 +118,10 @@ def test_a_cell_is_drawn_in_its_color_on_white(tissue, tmp_path):
 
 def test_the_command_draws_what_measure_left(tissue, tmp_path, capsys):
     save_tissue(tmp_path, TUBE, BackboneTable(tissue.positions, None))
+    (tmp_path / "cells.csv").write_text("cell,volume,name\n0,1.5,<b>\n")
     assert main(["view", str(tmp_path)]) == 0
+    page = (tmp_path / "index.html").read_text()
+    assert page.count("<img") == 1 and "&lt;b&gt;" in page and "<td>1.5</td>" in page
     assert capsys.readouterr().out == f"{tmp_path / 'tissue.png'}\n"
     assert imread(tmp_path / "tissue.png").std() > 0.1
     for arguments, told in (

@@ -112,6 +112,8 @@ def test_a_flipped_bit_is_told_in_one_line(whole, stopped, copy, capsys, ended: 
     folder = copy(whole if ended else stopped)
     before = contents(folder)
     for seed, (path, whole_file) in enumerate(before.items()):
+        if path.name == "index.html":  # which nothing reads
+            continue
         places = flips(path, 8, seed) + [(1965, 0)] * (path.name == "checkpoint.npz")
         for byte, bit in places:
             damaged = bytearray(whole_file)

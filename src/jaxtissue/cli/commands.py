@@ -25,6 +25,7 @@ from jaxtissue.compilation.devices import use_cores
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.dynamics.metropolis import warn_of_coarse_places
 from jaxtissue.energy import tube_model
+from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domain_files import domain_values, load_domain
 from jaxtissue.geometry.tube import TUBE_SIZES, Tube
 from jaxtissue.runs import storage
@@ -88,12 +89,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 def anneal(arguments: dict[str, Any]) -> int:
     """Anneal a tissue into a folder, or take up a run there."""
     use_cores(1)
-    folder, force, resume, finish = (arguments.pop(name) for name in ("out", "force", "resume", "finish"))
+    folder, force, flat = (arguments.pop(name) for name in ("out", "force", "flat"))
+    resume, finish = (arguments.pop(name) for name in ("resume", "finish"))
     if domain := given_domain(arguments, load_domain):
         is_tube = isinstance(domain, Tube)
         arguments |= {s: getattr(domain, s) for s in TUBE_SIZES} if is_tube else {"domain": domain_values(domain)}
     if resume:
-        return resume_annealing(folder, arguments, finish)
+        return resume_annealing(folder, arguments, finish, flat)
     if finish:
         raise ValueError("--finish is for a run that was stopped; add --resume")
     refuse_both(arguments, "minimum_contact")
@@ -102,7 +104,7 @@ def anneal(arguments: dict[str, Any]) -> int:
     if settings.final_temperature is not None and not settings.temperature > 0:
         raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
     _use_x64(settings.x64)
-    return run_annealing(folder, settings, force)
+    return run_annealing(folder, settings, force, flat)
 
 
 def relax(arguments: dict[str, Any]) -> int:
@@ -161,6 +163,9 @@ def _find_part(
 
 def measure(arguments: dict[str, Any]) -> int:
     """Measure the cells of given backbones, and trace their contacts."""
+    from jaxtissue.runs import plots
+    from jaxtissue.runs.viewing import leave_pictures
+
     folder = arguments["out"]
     refuse_both(arguments, "minimum_contact", "graph")
     check_folder(folder, arguments["force"])
@@ -188,7 +193,11 @@ def measure(arguments: dict[str, Any]) -> int:
             write_contacts(folder, connectivity, columns if arguments["graph"] else None)
             summary |= contact_summary(connectivity) | {"contact_seconds": tracing}
         write_json(folder / SUMMARY, summary)
-    _print_summary(summary)
+        _print_summary(summary)
+        shown = plots.Tissue("unrolled", place, columns["volume"])
+        plots.save_figure(folder / "surfaces.png", partial(plots.plot_surfaces, tube, [shown]))
+        tissue = TissueRecord(place, tube, backbones.names, traced=connectivity)
+        leave_pictures(tissue, folder, arguments["flat"] or connectivity is None)
     return 0
 
 
@@ -200,7 +209,7 @@ def fit(arguments: dict[str, Any]) -> int:
     check_folder(folder, arguments["force"])
     _use_x64(arguments["x64"])
     _say(f"fitting a {arguments['shape']} to {arguments['file']}")
-    report = run_fit(arguments["file"], arguments["spacing"], arguments["shape"], folder)
+    report = run_fit(arguments["file"], arguments["spacing"], arguments["shape"], folder, arguments["flat"])
     for name, value in report.items():
         print(f"{name:28}{value:.6g}")
     print(f"written to {folder}; go on with:")

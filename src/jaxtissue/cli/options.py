@@ -73,6 +73,7 @@ def command_parser() -> argparse.ArgumentParser:
 
 def _add_anneal(command: argparse.ArgumentParser) -> None:
     _add_folder(command, required=True)
+    _add_flat(command)
     command.add_argument("--resume", action="store_true", help="go on with the run in DIR; --sweeps may grow")
     command.add_argument("--finish", action="store_true", help="with --resume: only draw up the tables and "
                          "figures of what was played; --resume can still go on")  # fmt: skip
@@ -182,6 +183,7 @@ def _add_measure(command: argparse.ArgumentParser) -> None:
         text = f"in the energy (default: {default})"
         command.add_argument(_option(name), type=size, default=default, metavar=metavar, help=text)
     _add_contacts(command, Settings.minimum_contact, Settings.no_contacts)
+    _add_flat(command)
     command.add_argument("--graph", action="store_true", help="write the contact graph too, as graph.graphml")
 
 
@@ -201,6 +203,7 @@ def _add_fit(command: argparse.ArgumentParser) -> None:
     command.add_argument("--spacing", type=_number(0, above=True), nargs=3, metavar=("Z", "Y", "X"), help=
                          "sides of a voxel (default: those that the file tells)")  # fmt: skip
     command.add_argument("--shape", choices=tuple(FITTERS), default="tube", help="of the tissue (default: tube)")
+    _add_flat(command)
     _add_folder(command, required=True)
 
 
@@ -232,6 +235,10 @@ def _add(command: Any, name: str, text: str, default: Any, **options: Any) -> No
     """Add a setting of `anneal`, with its default in the help only."""
     text += "" if default is None else f" (default: {default})"
     command.add_argument(_option(name), default=argparse.SUPPRESS, help=text, **options)
+
+
+def _add_flat(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--flat", action="store_true", help="leave out the pictures in three dimensions")
 
 
 def _add_folder(command: argparse.ArgumentParser, required: bool) -> None:

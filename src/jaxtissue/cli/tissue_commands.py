@@ -6,6 +6,7 @@ from typing import Any
 
 from jaxtissue.runs.exporting import export_tissue
 from jaxtissue.runs.formats import OF_CELLS, picture_name
+from jaxtissue.runs.pages import write_page
 from jaxtissue.runs.run_folders import read_tissue
 from jaxtissue.runs.viewing import LOOKED_AT, view_tissue
 from jaxtissue.system.files import check_folder
@@ -34,6 +35,8 @@ def view(arguments: dict[str, Any]) -> int:
         raise ValueError(f"--cell is for --what {', '.join(OF_CELLS)}, not {what}; leave it out")
     tissue = read_tissue(arguments["run"], arguments["unit"], LOOKED_AT)
     view_tissue(tissue, what, path, arguments["cell"])
+    if not arguments["out"]:
+        write_page(arguments["run"])
     print(path)
     return 0
 

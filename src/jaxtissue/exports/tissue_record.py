@@ -27,6 +27,7 @@ class TissueRecord:
         unit: The unit of all lengths, such as "um"; empty if none was given.
         history: Positions after some sweeps of a run, by sweep.
         tolerance: That of the meshes.
+        traced: Its connectivity, if it is known already.
     """
 
     positions: Float[np.ndarray, "n 2"]
@@ -35,11 +36,12 @@ class TissueRecord:
     unit: str = ""
     history: Mapping[int, Float[np.ndarray, "n 2"]] = field(default_factory=dict)
     tolerance: float = TOLERANCE
+    traced: Connectivity | None = None
 
     @cached_property
     def connectivity(self) -> Connectivity:
         """Contacts, transition points, forms and sizes."""
-        return find_connectivity(self.positions, self.tube)
+        return self.traced or find_connectivity(self.positions, self.tube)
 
     @cached_property
     def meshes(self) -> CellMeshes:

@@ -28,6 +28,11 @@ class Bisection:
         self.surfaces = {first_bound + bound: triangles for bound, triangles in grid.surfaces().items()}
         self._places, self._turns = grid.places(), np.where(grid.closed, grid.shape, 0)
 
+    def keep(self, near: Bool[np.ndarray, " p"]) -> None:
+        """Keep only what has one of these nodes."""
+        self.tetrahedra = self.tetrahedra[near[self.tetrahedra].any(axis=1)]
+        self.surfaces = {bound: sheet[near[sheet].any(axis=1)] for bound, sheet in self.surfaces.items()}
+
     def halve(self, chosen: Int[np.ndarray, " m"]) -> Int[np.ndarray, " f"]:
         """Halve the longest edges of the chosen tetrahedra, and what must be halved with them; those that are new."""
         ends = self.tetrahedra[chosen][:, EDGES]

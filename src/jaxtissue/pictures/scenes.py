@@ -1,4 +1,4 @@
-"""Scenes of a tissue, off screen: the whole of it, a cell with its neighbors, a scutoid, an internal pair.
+"""Scenes of a tissue, off screen: the whole of it, cut open or in bodies, or some cells with their neighbors.
 
 Each function returns the PyVista plotter; `save` writes it as PNG.
 """
@@ -9,38 +9,68 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from matplotlib.colors import to_rgb
 
 from jaxtissue.meshes.cell_meshes import CellMeshes
-from jaxtissue.meshes.coloring import PALETTE, color_cells
+from jaxtissue.meshes.coloring import PALETTE, spread_colors
 from jaxtissue.pictures.bodies import body
+from jaxtissue.pictures.outsides import Face
 from jaxtissue.system.extras import optional
 
 SIZE = 1200, 800
-LINE = "#222222"
+LINE, _LINE = "#222222", (34, 34, 34)
 ALONG = np.array([1.0, 0, 0])
 _LIGHT = {"ambient": 0.25, "diffuse": 0.8, "specular": 0.12, "specular_power": 15}
 
 
-def shades(meshes: CellMeshes) -> np.ndarray:
-    """The color of each cell, [n, 3], 8 bits."""
-    return np.array([[round(255 * part) for part in to_rgb(color)] for color in PALETTE], np.uint8)[color_cells(meshes)]
+def shades(cells: int, pairs: Int[np.ndarray, "m 2"]) -> Int[np.ndarray, "n 3"]:
+    """The color of each cell, 8 bits, that none of its neighbors has wherever eight colors suffice."""
+    palette = np.array([[round(255 * part) for part in to_rgb(color)] for color in PALETTE], np.uint8)
+    return palette[spread_colors(cells, pairs)]
 
 
-def draw_tissue(
-    meshes: CellMeshes, colors: np.ndarray | None = None, cut: bool = True, apart: float = 0.0, unit: str = ""
+def draw_tissue(faces: Sequence[Face], colors: Int[np.ndarray, "n 3"], unit: str = "") -> Any:
+    """The tissue cut open by planes, so that the lumen and the walls within are seen.
+
+    Args:
+        faces: Its outside.
+        colors: The color of each cell, 8 bits.
+        unit: The unit of lengths, for the scale bar.
+    """
+    pyvista = _start()
+    plotter = _plotter(pyvista)
+    for face in faces:
+        u, v = face.points.shape[:2]
+        number = np.arange(u * v).reshape(u, v)
+        quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1)
+        sheet = pyvista.PolyData.from_regular_faces(face.points.reshape(-1, 3), quads.reshape(-1, 4))
+        across, along = np.meshgrid(np.linspace(0, 1, u), np.linspace(0, 1, v), indexing="ij")
+        sheet.active_texture_coordinates = np.stack([along, 1 - across], axis=-1).reshape(-1, 2)
+        texture = pyvista.numpy_to_texture(face.image(colors, _LINE))
+        texture.interpolate = texture.mipmap = True
+        plotter.add_mesh(sheet, texture=texture, smooth_shading=True, **_LIGHT)
+        rim = np.concatenate([number[0], number[1:, -1], number[-1, -2::-1], number[-2::-1, 0]])
+        lines = np.column_stack([np.full(len(rim) - 1, 2), rim[:-1], rim[1:]]).ravel()
+        edge = pyvista.PolyData(face.points.reshape(-1, 3), lines=lines)
+        plotter.add_mesh(edge, color=LINE, line_width=2.5, lighting=False)
+    points = np.concatenate([face.points.reshape(-1, 3) for face in faces])
+    return _look(plotter, pyvista, points, unit, (-0.5, -1.0, 0.75), (0.0, 0.0, 1.0))
+
+
+def draw_bodies(
+    meshes: CellMeshes, colors: Int[np.ndarray, "n 3"], cut: bool = True, apart: float = 0.0, unit: str = ""
 ) -> Any:
-    """The whole tissue, its cells in colors that no neighbor has.
+    """All cells of a tissue as bodies.
 
     Args:
         meshes: The meshes of its cells.
-        colors: The color of each cell, [n, 3], 8 bits; by default `shades`.
+        colors: The color of each cell, 8 bits.
         cut: Whether a quarter of the cells is left out, so that the lumen and the walls within are seen.
         apart: How far cells are moved away from the middle, as a fraction of their distance from it.
         unit: The unit of lengths, for the scale bar.
     """
-    pyvista, colors = _start(), shades(meshes) if colors is None else colors
+    pyvista = _start()
     plotter, middles = _plotter(pyvista), centers(meshes)
     chosen = np.ones(meshes.cells, bool)
     if cut:
@@ -56,13 +86,14 @@ def draw_tissue(
 
 def draw_cells(
     meshes: CellMeshes,
+    colors: Int[np.ndarray, "n 3"],
     cells: Sequence[int],
     around: Sequence[int] = (),
     points: Any = (),
     unit: str = "",
 ) -> Any:
     """Some cells in full color, others round them like glass, and points such as transition points as black balls."""
-    pyvista, colors = _start(), shades(meshes)
+    pyvista = _start()
     plotter = _plotter(pyvista)
     for cell in cells:
         _add(plotter, pyvista, meshes, _only(meshes, cell), colors)
@@ -154,11 +185,32 @@ def _look(
     sink, near = (points - middle) @ above, (points - middle) @ front
     bar = middle + (sink.min() - 0.04 * np.ptp(sink)) * above + near.max() * front
     ends = bar - length / 2 * ALONG, bar + length / 2 * ALONG
-    text = f"{length:g} {unit or ('tube unit' if length == 1 else 'tube units')}"
+    text, below = (
+        f"{length:g} {unit or ('tube unit' if length == 1 else 'tube units')}",
+        max(np.ptp(sink), 1.5 * about),
+    )
     plotter.add_mesh(pyvista.Line(*ends), color="black", line_width=5, lighting=False)
-    plotter.add_point_labels([bar - 0.03 * np.ptp(sink) * above], [text], font_size=20,
+    plotter.add_point_labels([bar - 0.09 * below * above], [text], font_size=20,
                              bold=False, text_color="black", shape=None, show_points=False, always_visible=True,
                              justification_horizontal="center", justification_vertical="top")  # fmt: skip
     plotter.view_vector(toward, viewup=up)
-    plotter.camera.zoom(1.1)
+    _fill(plotter.camera, np.concatenate([points, [bar - 0.12 * below * above], ends]))
     return plotter
+
+
+def _fill(camera: Any, points: Float[np.ndarray, "p 3"]) -> None:
+    """Turn the camera to the middle of the points, and let these fill the picture."""
+    ahead = np.asarray(camera.focal_point) - camera.position
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, camera.up)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(right, ahead)])
+    seen = points @ axes.T
+    for _ in range(3):  # nearer points are seen larger
+        away = points - camera.position
+        seen = away @ axes.T / (away @ ahead)[:, None]
+        middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
+        shift = middle @ axes * (np.linalg.norm(np.asarray(camera.focal_point) - camera.position))
+        camera.position, camera.focal_point = camera.position + shift, camera.focal_point + shift
+    half = np.ptp(seen, axis=0) / 2
+    camera.view_angle = math.degrees(2 * math.atan(max(half[1], half[0] * SIZE[1] / SIZE[0]) / 0.93))

@@ -17,9 +17,11 @@ from tqdm import tqdm
 from jaxtissue.dynamics.replays import SPAN
 from jaxtissue.dynamics.schedules import has_stalled
 from jaxtissue.dynamics.sweep_log import AcceptanceWatch
+from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.runs import storage
+from jaxtissue.runs.pages import write_page
 from jaxtissue.runs.reports import contact_summary, tabulate_cells, write_contacts
 from jaxtissue.runs.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
 from jaxtissue.runs.settings import Settings, now, other_bits
@@ -35,9 +37,10 @@ KEPT_SWEEPS = (0, 1, 5, 25, 50, 100, 250, 500, 1000, 2500, 5000, 10_000)  # draw
 CHECKPOINT_SECONDS = 2.0  # with sweeps shorter than this no more than 4 s are ever lost
 
 
-def run_annealing(folder: Path, settings: Settings, force: bool = False) -> int:
+def run_annealing(folder: Path, settings: Settings, force: bool = False, flat: bool = False) -> int:
     """Anneal from the start into `folder` and return the exit code, 128 + signal for a run that was stopped.
 
+    `flat` leaves out the pictures in three dimensions.
     Raises `ValueError` for bad settings or backbones, and for a folder that holds files (unless forced), that
     another run is at, or that can't be written; nothing is written then.
     """
@@ -48,10 +51,10 @@ def run_annealing(folder: Path, settings: Settings, force: bool = False) -> int:
     annealer = settings.annealer(settings.sweeps)
     with Stop() as stop, alone(folder):
         check_folder(folder, force)  # another run may just have ended there
-        return _go_on(begin(folder, settings, annealer, initial, names), stop)
+        return _go_on(begin(folder, settings, annealer, initial, names), stop, flat)
 
 
-def resume_annealing(folder: Path, given: Mapping[str, Any], finish: bool = False) -> int:
+def resume_annealing(folder: Path, given: Mapping[str, Any], finish: bool = False, flat: bool = False) -> int:
     """Take up the run in `folder` at its checkpoint and return the exit code, as `run_annealing`.
 
     Of the `given` settings only `sweeps` may differ from those of the run, and only grow. To `finish` is to
@@ -72,20 +75,20 @@ def resume_annealing(folder: Path, given: Mapping[str, Any], finish: bool = Fals
             say(f"warning: bits may not be those of a run in one piece: {changes}")
         if finish and not run.manifest["finished"]:
             run.cut()
-            _finish(run, ended=False)
+            _finish(run, flat, ended=False)
             return 0
         run.note_resumption()
         run.cut()
-        return _go_on(run, stop)
+        return _go_on(run, stop, flat)
 
 
-def _go_on(run: Run, stop: Stop) -> int:
+def _go_on(run: Run, stop: Stop, flat: bool) -> int:
     """Sweep until the run ends or is stopped, then finish or leave it; the exit code."""
     compiled_before = run.manifest["compile_seconds"]
     ended = _sweep(run, stop)
     run.manifest["compile_seconds"] = compiled_before + run.annealer.compile_seconds
     if ended:
-        _finish(run)
+        _finish(run, flat)
         return 0
     assert stop.signal is not None
     run.write_manifest()
@@ -137,12 +140,13 @@ def _sweep(run: Run, stop: Stop) -> bool:
     return ended()
 
 
-def _finish(run: Run, ended: bool = True) -> None:
-    """Write the results of a run, tables, figures and the manifest, and print them.
+def _finish(run: Run, flat: bool, ended: bool = True) -> None:
+    """Write the results of a run, tables, figures and the manifest, print them, and leave its page.
 
     A run that ended is finished by its manifest.
     """
     from jaxtissue.runs.plots import Tissue, plot_energy, plot_surfaces, plot_volumes, save_figure
+    from jaxtissue.runs.viewing import leave_pictures
 
     model, settings = run.annealer.model, run.settings
     connectivity, place = None, run.state.positions
@@ -178,6 +182,11 @@ def _finish(run: Run, ended: bool = True) -> None:
     news = {"energy": energy, "final": {"sweep": run.state.sweep} | summary}
     run.write_manifest(**news, finished=now() if ended else None, files=run.checksums(*RESULTS))
     _print_result(run)
+    if is_tube:
+        tissue = TissueRecord(np.asarray(place, float), model.tube, run.names, traced=connectivity)
+        leave_pictures(tissue, run.folder, flat or settings.no_contacts)
+    else:
+        write_page(run.folder)
 
 
 def _a_few(sweeps: list[int]) -> list[int]:

@@ -6,19 +6,22 @@ from typing import Any
 
 import numpy as np
 
+from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.images.image_files import read_image
 from jaxtissue.images.tissue_fit import TissueFit, fit_tissue
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import BackboneTable
 from jaxtissue.runs.run_folders import CELLS, FILES, FIT, FRAME, save_tissue
 from jaxtissue.runs.settings import provenance
+from jaxtissue.runs.viewing import leave_pictures
 from jaxtissue.system.files import make_folder, write_json
 from jaxtissue.system.locks import alone
 
 
-def run_fit(path: Path, spacing: Any, shape: str, folder: Path) -> dict[str, Any]:
-    """Fit a tissue to the image in a file, write it into a folder, and return the report.
+def run_fit(path: Path, spacing: Any, shape: str, folder: Path, flat: bool = False) -> dict[str, Any]:
+    """Fit a tissue to the image in a file, write it into a folder with its page, and return the report.
 
+    `flat` leaves out the pictures in three dimensions.
     Raises `ValueError` as `read_image` and `fit_tissue` do; nothing is written then.
     """
     read = read_image(path, spacing)
@@ -36,6 +39,7 @@ def run_fit(path: Path, spacing: Any, shape: str, folder: Path) -> dict[str, Any
         write_json(folder / FRAME, _frame(fit, read.unit))
         storage.write_table(folder / CELLS, columns)
         write_json(folder / FIT, report | about | {"voxels": read.image.shape} | provenance())
+        leave_pictures(TissueRecord(fit.positions, fit.domain, traced=fit.connectivity), folder, flat)
     return report
 
 

@@ -2,7 +2,8 @@
 
 FORMATS = ("ome-tiff", "vtu", "pvd", "ply", "stl", "glb", "graphml", "csv", "parquet", "anndata")
 UNITS = ("nm", "um", "mm", "cm", "m")
-VIEWED = ("tissue", "exploded", "cell", "scutoid", "internal", "surfaces", "movie")
+VIEWED = ("tissue", "bodies", "exploded", "cell", "scutoid", "internal", "surfaces", "movie")
+LEFT = ("tissue", "scutoid")  # those that each run leaves
 OF_CELLS = ("cell", "scutoid", "internal")  # of these, the pictures of one cell that may be chosen
 
 

@@ -10,6 +10,7 @@ from typing import IO, Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.minimization.relaxation import RelaxRecord, RelaxResult, relax
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import BackboneTable
@@ -98,6 +99,7 @@ def _finish(
 ) -> None:
     """Write tables, figures and the manifest, and print the result."""
     from jaxtissue.runs.plots import Tissue, plot_relaxation, plot_surfaces, plot_volumes, save_figure
+    from jaxtissue.runs.viewing import leave_pictures
 
     say("measuring and drawing" if settings.no_contacts else "measuring, tracing contacts, drawing")
     model, place, connectivity = settings.model, result.positions, None
@@ -135,3 +137,5 @@ def _finish(
         if name in summary:
             print(f"{name:17}{summary[name]:.6g}")
     print(f"written to       {folder}")
+    tissue = TissueRecord(np.asarray(place, float), model.tube, names, traced=connectivity)
+    leave_pictures(tissue, folder, settings.no_contacts)

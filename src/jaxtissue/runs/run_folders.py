@@ -9,6 +9,7 @@ from jaxtissue.geometry.domain_files import load_tube, save_domain
 from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.meshes.cell_meshes import TOLERANCE
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
 from jaxtissue.runs.formats import VIEWED, picture_name
@@ -19,11 +20,11 @@ from jaxtissue.system.files import read_sealed
 DOMAIN, BACKBONES, MANIFEST, CHECKPOINT = "domain.json", "backbones.csv", "manifest.json", "checkpoint.npz"
 INITIAL, SWEEPS, CELLS, SUMMARY = "initial_backbones.csv", "sweeps.csv", "cells.csv", "summary.json"
 STEPS = "steps.csv"
-FRAME, FIT = "frame.json", "fit.json"
+FRAME, FIT, PAGE = "frame.json", "fit.json", "index.html"
 FIGURES = ("energy.png", "volumes.png", "surfaces.png")
 # all that commands leave in the folder of a tissue: another tissue there outdates it, whichever command brings it
 FILES = (
-    *(MANIFEST, CHECKPOINT, INITIAL, SWEEPS, STEPS, DOMAIN, BACKBONES, CELLS, SUMMARY, FRAME, FIT),
+    *(MANIFEST, CHECKPOINT, INITIAL, SWEEPS, STEPS, DOMAIN, BACKBONES, CELLS, SUMMARY, FRAME, FIT, PAGE),
     *(*CONTACT_TABLES, *FIGURES, *map(picture_name, VIEWED)),
 )
 
@@ -60,5 +61,4 @@ def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) ->
         raise ValueError(
             f"{folder} holds no {BACKBONES} with {DOMAIN} or {MANIFEST}; give a folder of anneal, relax or measure"
         )
-    options = {} if tolerance is None else {"tolerance": tolerance}
-    return TissueRecord(positions, tube, names, unit, history, **options)
+    return TissueRecord(positions, tube, names, unit, history, tolerance or TOLERANCE)

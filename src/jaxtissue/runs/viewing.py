@@ -1,20 +1,24 @@
 """Pictures of the tissue in the folder of a run, and which cell they show."""
 
+import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from jaxtissue.exports.tissue_record import TissueRecord
-from jaxtissue.meshes.cell_meshes import mesh_cells
-from jaxtissue.pictures.scenes import draw_cells, draw_tissue, save, shades
+from jaxtissue.meshes.cell_meshes import CellMeshes, mesh_cells
+from jaxtissue.pictures.outsides import cut_open
+from jaxtissue.pictures.scenes import draw_bodies, draw_cells, draw_tissue, save, shades
+from jaxtissue.runs import formats
+from jaxtissue.runs.formats import picture_name
+from jaxtissue.runs.pages import write_page
 from jaxtissue.runs.plots import Tissue, plot_surfaces, save_figure
 
 LOOKED_AT = 1e-4  # the tolerance of meshes that are only looked at
-MOVING = 1e-3  # and of those in a movie
+CLOSELY = 1e-5  # and of those of a few cells
 _SECONDS = 0.7  # for each picture of a movie
 
 
@@ -31,6 +35,26 @@ def view_tissue(tissue: TissueRecord, what: str, path: Path, cell: int | None = 
     VIEWS[what](tissue, path, cell)
 
 
+def leave_pictures(tissue: TissueRecord, folder: Path, flat: bool = False) -> None:
+    """Leave the page of a run, and its pictures `formats.LEFT` unless all are to be flat.
+
+    What can't be drawn is left out and told in a line. The page is written before, too: should the system's graphics
+    end the process, it is there.
+    """
+    write_page(folder)
+    if flat:
+        return
+    for what in formats.LEFT:
+        if what == "scutoid" and not tissue.connectivity.transitions.per_cell.any():
+            continue
+        try:
+            view_tissue(tissue, what, folder / picture_name(what))
+        except Exception as error:  # results do without
+            warnings.warn(f"{picture_name(what)} is left out: {' '.join(str(error).split())}", stacklevel=2)
+            break
+    write_page(folder)
+
+
 def find_scutoid(tissue: TissueRecord) -> int:
     """The cell that shows best what a scutoid is: with few transition points, at no end, nearest to the middle."""
     found = tissue.connectivity
@@ -43,15 +67,28 @@ def find_scutoid(tissue: TissueRecord) -> int:
     return int(good[np.argmin(np.maximum(count[good], 2) + aside)])
 
 
-def _draw_whole(tissue: TissueRecord, path: Path, cell: int | None, **options: Any) -> None:
-    save(draw_tissue(tissue.meshes, unit=tissue.unit, **options), path)
+def _colors(tissue: TissueRecord) -> np.ndarray:
+    return shades(len(tissue.positions), tissue.connectivity.contacts.pairs)
+
+
+def _mesh(tissue: TissueRecord, *cells: int) -> CellMeshes:
+    return mesh_cells(tissue.positions, tissue.tube, CLOSELY, cells)
+
+
+def _draw_whole(tissue: TissueRecord, path: Path, cell: int | None) -> None:
+    save(draw_tissue(cut_open(tissue.positions, tissue.tube), _colors(tissue), tissue.unit), path)
+
+
+def _draw_bodies(tissue: TissueRecord, path: Path, cell: int | None, apart: float = 0.0) -> None:
+    save(draw_bodies(tissue.meshes, _colors(tissue), apart=apart, unit=tissue.unit), path)
 
 
 def _draw_cell(tissue: TissueRecord, path: Path, cell: int | None) -> None:
     own = len(tissue.positions) // 2 if cell is None else cell
     pairs = tissue.connectivity.contacts.pairs
     around = np.setdiff1d(pairs[(pairs == own).any(axis=1)], [own])
-    save(draw_cells(tissue.meshes, [own], around.tolist(), unit=tissue.unit), path)
+    meshes = _mesh(tissue, own, *around.tolist())
+    save(draw_cells(meshes, _colors(tissue), [own], around.tolist(), unit=tissue.unit), path)
 
 
 def _draw_scutoid(tissue: TissueRecord, path: Path, cell: int | None) -> None:
@@ -60,7 +97,8 @@ def _draw_scutoid(tissue: TissueRecord, path: Path, cell: int | None) -> None:
     if not at.any():
         raise ValueError(f"cell {own} has no transition point; leave --cell out, or look at --what cell")
     around = np.setdiff1d(transitions.cells[at], [own])
-    save(draw_cells(tissue.meshes, [own], around.tolist(), transitions.points[at], tissue.unit), path)
+    meshes = _mesh(tissue, own, *around.tolist())
+    save(draw_cells(meshes, _colors(tissue), [own], around.tolist(), transitions.points[at], tissue.unit), path)
 
 
 def _draw_internal(tissue: TissueRecord, path: Path, cell: int | None) -> None:
@@ -72,7 +110,9 @@ def _draw_internal(tissue: TissueRecord, path: Path, cell: int | None) -> None:
     transitions = tissue.connectivity.transitions
     both = np.isin(transitions.cells, pair).sum(axis=1) == 2
     around = np.setdiff1d(transitions.cells[both], pair)
-    save(draw_cells(tissue.meshes, pair.tolist(), around.tolist(), transitions.points[both], tissue.unit), path)
+    shown = pair.tolist(), around.tolist()
+    meshes = _mesh(tissue, *shown[0], *shown[1])
+    save(draw_cells(meshes, _colors(tissue), *shown, transitions.points[both], tissue.unit), path)
 
 
 def _draw_surfaces(tissue: TissueRecord, path: Path, cell: int | None) -> None:
@@ -84,9 +124,9 @@ def _draw_movie(tissue: TissueRecord, path: Path, cell: int | None) -> None:
     """The kept sweeps of a run, the cells in the colors of the last one."""
     if not tissue.history:
         raise ValueError("a movie needs the sweeps of a run that anneal made; look at --what tissue")
-    colors, frames = shades(tissue.meshes), []
+    colors, frames = _colors(tissue), []
     for _, positions in sorted(tissue.history.items()):
-        plotter = draw_tissue(mesh_cells(positions, tissue.tube, MOVING), colors, unit=tissue.unit)
+        plotter = draw_tissue(cut_open(positions, tissue.tube), colors, tissue.unit)
         frames.append(Image.fromarray(plotter.screenshot(return_img=True)).convert("P", palette=Image.Palette.ADAPTIVE))
         plotter.close()
     frames[0].save(path, "GIF", save_all=True, append_images=frames[1:], duration=round(1000 * _SECONDS), loop=0)
@@ -94,7 +134,8 @@ def _draw_movie(tissue: TissueRecord, path: Path, cell: int | None) -> None:
 
 VIEWS: dict[str, Callable[[TissueRecord, Path, int | None], None]] = {
     "tissue": _draw_whole,
-    "exploded": partial(_draw_whole, apart=0.5),
+    "bodies": _draw_bodies,
+    "exploded": partial(_draw_bodies, apart=0.5),
     "cell": _draw_cell,
     "scutoid": _draw_scutoid,
     "internal": _draw_internal,
