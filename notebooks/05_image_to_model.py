@@ -1,0 +1,102 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # From a segmented image to a model
+#
+# A label image in, volumes, neighbors and scutoids out: first straight from the voxels, then from a model that is
+# fitted to them. The image here is drawn from a tissue of our own, so that we know what should come out. With
+# an image of yours, begin at the second step, with `tifffile.imread("labels.tif")`.
+
+# %%
+# %matplotlib inline
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+
+import jaxtissue as jt
+
+tube = jt.Tube(length=12, apical_radius=2, basal_radius=5)
+start = tube.random_positions(jax.random.key(4), 40)
+truth = jt.anneal(start, tube, sweeps=30, temperature=2.0).positions
+spacing = (0.25, 0.2, 0.2)  # sides of a voxel along z, y and x
+image = np.pad(jt.label_image(truth, tube, spacing), 3)  # order (z, y, x), 0 outside
+print(image.shape, image.dtype, len(np.unique(image)) - 1, "cells")
+
+# %% [markdown]
+# ## What the image shows
+# Each color is a cell. On the left a slice along the tube, on the right one across it: the lumen is the hole.
+
+
+# %%
+def show(labels, title):
+    """A slice along the axis and one across it."""
+    shades = np.random.default_rng(1).permutation(labels.max()) % 20
+    colors = np.vstack([[1, 1, 1, 1], plt.get_cmap("tab20")(shades)])
+    figure, axes = plt.subplots(1, 2, figsize=(9, 4.2), layout="constrained", width_ratios=(12, 10))
+    middle = np.array(labels.shape) // 2
+    axes[0].imshow(colors[labels[middle[0] + 12]], aspect=spacing[1] / spacing[2], origin="lower")
+    axes[0].set(xlabel="x (voxels)", ylabel="y (voxels)", title=f"{title}, along the tube")
+    axes[1].imshow(colors[labels[:, :, middle[2]]], aspect=spacing[0] / spacing[1], origin="lower")
+    axes[1].set(xlabel="y (voxels)", ylabel="z (voxels)", title=f"{title}, across the tube")
+    plt.close(figure)
+    return figure
+
+
+show(image, "image")
+
+# %% [markdown]
+# ## Measuring the voxels
+# No model is needed for volumes, contacts and scutoids.
+
+# %%
+seen = jt.measure_labels(image, spacing)
+print(seen)
+print(f"neighbors {seen.neighbors.mean():.2f}, scutoids {seen.is_scutoid.mean():.0%}")
+
+# %% [markdown]
+# ## Fitting the tissue
+# `fit_tissue` finds the tube and the backbones whose Voronoi walls run where the image has walls. The report says
+# how well: look at `voxels_same` first.
+
+# %%
+fit = jt.fit_tissue(image, spacing)
+print(fit.domain)
+for name, value in fit.report.items():
+    print(f"{name:18}{value:.4g}")
+
+# %% [markdown]
+# Where the model labels a voxel otherwise than the image does, it is at a wall.
+
+# %%
+show(np.where(fit.voxels == image, 0, image), "voxels that differ")
+
+# %% [markdown]
+# ## What the model tells beyond the image
+# Walls are traced to their ends, so kinds of neighbors and transition points are exact for the model. Beside them is
+# the tissue that the image was drawn from.
+
+# %%
+for name, tissue in (("drawn from", jt.find_connectivity(truth, tube)), ("fitted", fit.connectivity)):
+    summary = jt.summarize_connectivity(tissue)
+    told = ", ".join(f"{key} {summary[key]:.2f}" for key in ("neighbors", "transitions", "scutoid_fraction"))
+    print(f"{name:11}{told}")
+
+# %%
+figure, axes = plt.subplots(figsize=(4.5, 4.5), layout="constrained")
+axes.axline((0, 0), slope=1, color="0.7")
+axes.plot(fit.cells.volume, fit.connectivity.sizes.volume, ".", color="#0072B2")
+axes.set(xlabel="volume in the image", ylabel="volume of the model's cell", xlim=(0, None), ylim=(0, None))
+plt.close(figure)
+figure
+
+# %% [markdown]
+# The model goes on where the image ends: `jt.anneal(fit.positions, fit.domain)` relaxes it, and the command
+# `jaxtissue fit labels.tif --out fitted` writes all of this into a folder.
