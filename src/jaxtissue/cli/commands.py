@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtissue.cli.information import info
-from jaxtissue.cli.inputs import given_domain, need_relative, read_tissue, refuse_both
+from jaxtissue.cli.inputs import find_part, given_domain, need_relative, read_tissue, refuse_both
 from jaxtissue.cli.options import command_parser
 from jaxtissue.compilation import program_cache
 from jaxtissue.compilation.batching import keep_compiled
@@ -30,7 +30,6 @@ from jaxtissue.geometry.domain_files import domain_values, load_domain
 from jaxtissue.geometry.tube import TUBE_SIZES, Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.annealing import resume_annealing, run_annealing
-from jaxtissue.runs.distributed import Part, join, slurm_part
 from jaxtissue.runs.grids import AXES, Grid
 from jaxtissue.runs.reports import (
     compare_presets,
@@ -137,28 +136,9 @@ def grid(arguments: dict[str, Any]) -> int:
     if runs.shared.get("final_temperature") and min(axes.get("temperature", [1.0])) == 0:
         raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
     check_grid_folder(folder, runs, force)
-    part = _find_part(*places)
+    part = find_part(*places)
     use_cores(min(len(part.share(runs.rows)), batch or len(runs.rows)))
     return run_grid(folder, runs, part, force, batch)
-
-
-def _find_part(
-    part: tuple[int, int] | None,
-    slurm: bool,
-    distributed: bool,
-    coordinator: str | None,
-    process: tuple[int, int] | None,
-) -> Part:
-    """The part of the work that this process does."""
-    if not distributed and (coordinator or process):
-        raise ValueError("--coordinator and --process need --distributed; add it")
-    if (coordinator is None) != (process is None):
-        raise ValueError("--coordinator and --process need each other; give both, or none in a cluster")
-    if distributed:
-        return join(coordinator, process)
-    if slurm:
-        return slurm_part()
-    return Part(*part) if part else Part()
 
 
 def measure(arguments: dict[str, Any]) -> int:

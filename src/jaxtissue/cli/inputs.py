@@ -7,6 +7,7 @@ from typing import Any
 from jaxtissue.geometry.domain_files import load_tube
 from jaxtissue.geometry.tube import TUBE_SIZES, Tube
 from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
+from jaxtissue.runs.distributed import Part, join, slurm_part
 
 
 def need_relative(arguments: dict[str, Any], given: dict[str, Any]) -> None:
@@ -48,3 +49,22 @@ def _tube_sizes(arguments: dict[str, Any]) -> list[float]:
     if missing:
         raise ValueError(f"{', '.join(missing)} not given; give all sizes of the tube, or its file by --domain")
     return [arguments[name] for name in TUBE_SIZES]
+
+
+def find_part(
+    part: tuple[int, int] | None,
+    slurm: bool,
+    distributed: bool,
+    coordinator: str | None,
+    process: tuple[int, int] | None,
+) -> Part:
+    """The part of the work that this process does."""
+    if not distributed and (coordinator or process):
+        raise ValueError("--coordinator and --process need --distributed; add it")
+    if (coordinator is None) != (process is None):
+        raise ValueError("--coordinator and --process need each other; give both, or none in a cluster")
+    if distributed:
+        return join(coordinator, process)
+    if slurm:
+        return slurm_part()
+    return Part(*part) if part else Part()
