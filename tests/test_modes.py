@@ -3,6 +3,7 @@
 from contextlib import ExitStack
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -80,3 +81,13 @@ def test_a_seed_gives_the_same_tissue_by_any_generator(setting) -> None:
         np.testing.assert_array_equal(jax.random.key_data(random_key(7)), wanted)
     finally:
         jax.config.update(name, before)
+
+
+def test_sums_over_many_cells_are_right(x64):
+    """What jaxlib 0.10.2 adds wrongly unless it is told not to (jax issue 39103): each time, or now and then."""
+    many = 16_385
+    rows = jnp.stack([jnp.arange(many, dtype=float), *2 * [jnp.zeros(many)]], axis=1)
+    squares = jax.jit(jax.vmap(lambda row: ((jnp.eye(3) @ row) ** 2).sum()))(rows)
+    np.testing.assert_array_equal(squares, np.arange(many, dtype=float) ** 2)
+    slab = jt.Slab(4, 3, 2, periodic=(True, True))
+    np.testing.assert_allclose([slab.volume for _ in range(1500)], 24, rtol=1e-12)

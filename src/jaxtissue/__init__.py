@@ -8,6 +8,7 @@
 True
 """
 
+import jaxtissue.compilation.flags
 import jaxtissue.system.signals  # noqa: F401  Ctrl-C is answered from here on: the other imports take seconds
 
 # isort: split

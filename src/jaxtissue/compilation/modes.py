@@ -1,7 +1,8 @@
 """The settings of JAX that decide results, held to the values that this library is written for."""
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from importlib import import_module
 from typing import Any
 
 import jax
@@ -38,6 +39,13 @@ def usual_modes() -> Iterator[None]:
             if getattr(jax.config, f"jax_{name}") not in (value, None):
                 stack.enter_context(getattr(jax, name)(value))
         yield
+
+
+def double_precision() -> AbstractContextManager[None]:
+    """Compute in 64 bits within, whatever the session's precision is."""
+    if hasattr(jax, "enable_x64"):
+        return jax.enable_x64(True)
+    return import_module("jax.experimental").enable_x64(True)  # as JAX 0.7 has it
 
 
 def keep_usual_modes() -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy.typing import DTypeLike
 from scipy.spatial import KDTree
 
-from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.compilation.modes import double_precision, usual_modes
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain, in_doubles
 from jaxtissue.geometry.positions import BACKBONES, ROUNDING, SAME, X64, Rows, as_numbers, as_positions
@@ -89,7 +89,7 @@ def _within(given: np.ndarray, domain: Domain, rows: Rows) -> np.ndarray:
 
 
 def _refuse_same(place: np.ndarray, domain: Domain, rows: Rows) -> None:
-    with jax.enable_x64(True):
+    with double_precision():
         ends = np.asarray(_embed(in_doubles(domain), jnp.asarray(place, float)))
     size = np.ptp(ends, axis=0).max()
     for i, j in sorted(KDTree(ends).query_pairs(SAME * float(np.finfo(place.dtype).eps) * max(size, 1e-300))):

@@ -11,7 +11,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.compilation.modes import double_precision, usual_modes
 from jaxtissue.geometry.backbones import Backbones
 from jaxtissue.geometry.base_surfaces import Rectangle, UnitSphere
 from jaxtissue.geometry.vectors import Vector, add, components, cross, dot, rows, scale, subtract
@@ -102,7 +102,7 @@ class Domain(eqx.Module):
     def _integral(self, what: str) -> float | Array:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
             return _integral(self, what)
-        with usual_modes(), jax.enable_x64(True):
+        with usual_modes(), double_precision():
             total = np.asarray(_compiled_integral(in_doubles(self), what), float)
         return float(total) if total.ndim == 0 else jnp.asarray(total)
 

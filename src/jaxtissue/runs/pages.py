@@ -63,7 +63,8 @@ def write_page(folder: Path) -> None:
     ]
     page = Template(files("jaxtissue.runs").joinpath("page.html").read_text("utf-8"))
     note = "Lengths, areas and volumes have the unit of the sizes that were given. Written by jaxtissue."
-    text = page.substitute(title=escape(f"{kind} tissue: {folder.name}"), note=note, body="\n".join(parts))
+    name = folder.name.encode(errors="replace").decode()  # of bytes that are no text
+    text = page.substitute(title=escape(f"{kind} tissue: {name}"), note=note, body="\n".join(parts))
     with replacing(folder / PAGE, "w") as file:
         file.write(text)
 

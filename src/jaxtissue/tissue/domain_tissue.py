@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
+from jaxtissue.compilation.modes import double_precision
 from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.vectors import components
@@ -112,7 +113,7 @@ def measure_domain_tissue(
 
 def tiling_defect(domain: Domain, found: Measured) -> float:
     """The largest relative error, over the layers, of the sum of all cells' sections."""
-    with jax.enable_x64(True):
+    with double_precision():
         whole = np.asarray(_layer_volumes(domain, jnp.asarray(np.asarray(found.layers.heights, float))), float)
     measured = np.asarray(found.sizes.section_volume, float)
     return float(np.abs(measured / whole - 1).max())

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.compilation.modes import double_precision, usual_modes
 from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.geometry.domains import Domain, in_doubles
 from jaxtissue.geometry.vectors import components, dot
@@ -104,7 +104,7 @@ def stretch_anisotropy(domain: Domain, positions: Float[np.ndarray, "n d"]) -> F
     (1 + k_1 h) / (1 + k_2 h), or its inverse: R_b / R_a on a tube, 1 on a sphere and a slab. In general it is the ratio
     of the singular values of the map from one surface to the other that takes end to end.
     """
-    with jax.enable_x64(True):
+    with double_precision():
         ends = [np.asarray(part) for part in _metrics(in_doubles(domain), jnp.asarray(positions))]
     apical, basal = (np.stack([np.stack([a, b], axis=-1), np.stack([b, c], axis=-1)], axis=-2) for a, b, c in ends)
     stretch = np.linalg.eigvals(np.linalg.solve(apical, basal)).real

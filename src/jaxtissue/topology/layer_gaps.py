@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.compilation.modes import double_precision, usual_modes
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain, in_doubles
 from jaxtissue.geometry.vectors import Vector, rows
@@ -59,7 +59,7 @@ class LayerGaps:
     """The gaps between the cells of one tissue."""
 
     def __init__(self, domain: Domain, positions: Float[np.ndarray, "n d"]) -> None:
-        with usual_modes(), jax.enable_x64(True):
+        with usual_modes(), double_precision():
             self.domain, self.count = in_doubles(domain), len(positions)
             self.base = base = self.domain.base
         self.extent = np.array([float(e) for e in base.extent]) if isinstance(base, Rectangle) else None
@@ -83,7 +83,7 @@ class LayerGaps:
     ) -> Spots:
         """The points at local coordinates round places, on layers, and the way from the places to others."""
         other, found = place if other is None else other, []
-        with usual_modes(), jax.enable_x64(True):
+        with usual_modes(), double_precision():
             for first in range(0, len(height), CHUNK):
                 some = [part[first : first + CHUNK] for part in (place, away, height, other)]
                 lacks = CHUNK - len(some[2])

@@ -2,12 +2,12 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
+from jaxtissue.compilation.modes import double_precision
 from jaxtissue.topology.layer_gaps import LayerGaps
 
 ROUNDS, NEAREST, LOOKED_AT, SAMPLES, ROUNDING = 8, 17, 10, 9, 1e-6
@@ -128,7 +128,7 @@ def _polygons(
 
 def _limits(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], basis: Float[np.ndarray, "n 2 2"]) -> _Lines:
     """The limits of sections, low and then high in both coordinates, as lines."""
-    with jax.enable_x64(True):
+    with double_precision():
         limits = gaps.base.limits(tuple(map(jnp.asarray, positions.T)))
     normal, offset = [], []
     for sign, side in ((-1, limits.low), (1, limits.high)):
