@@ -5,7 +5,7 @@ STAMP := .venv/.installed
 LOWEST := import tomllib; needs = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
     print(*(need.replace(">=", "==") for need in needs), sep="\n")
 
-.PHONY: setup demo test notebooks lint smoke smoke-pinned smoke-newest smoke-lowest environments clean
+.PHONY: setup demo test notebooks lint smoke smoke-pinned smoke-newest smoke-lowest clean
 
 setup: $(STAMP)
 
@@ -40,8 +40,6 @@ smoke-pinned: setup
 
 smoke-newest smoke-lowest: smoke-%: .venv-%/.installed smoke-pinned
 	.venv-$*/bin/python tests/smoke.py .venv-$*/smoke.json .venv/smoke.json
-
-environments: .venv-newest/.installed .venv-lowest/.installed
 
 .venv-newest/.installed: pyproject.toml
 	python=$$(.ci/find-python 14 13 12 11) && $$python -m venv --clear .venv-newest
