@@ -37,13 +37,13 @@ def tables(folder: Path) -> Iterator[Path]:
     for precision in ("float32", "x64"):
         more = ("--x64",) if precision == "x64" else ()
         whole, parts, sizes = (folder / precision / name for name in ("anneal", "resume", "measure"))
-        anneal = ("anneal", *TUBE, "--cells", 24, "--seed", 3, *more, "--out")
+        anneal = ("anneal", *TUBE, "--cells", 24, "--seed", 3, "--flat", *more, "--out")
         run(*anneal, whole, "--sweeps", 10)
         run(*anneal, parts, "--sweeps", 5)
-        run("anneal", "--out", parts, "--resume", "--sweeps", 10)
+        run("anneal", "--out", parts, "--resume", "--sweeps", 10, "--flat")
         if (whole / "backbones.csv").read_bytes() != (parts / "backbones.csv").read_bytes():
             sys.exit(f"a resumed run in {precision} ends elsewhere than one that was never stopped")
-        run("measure", whole / "initial_backbones.csv", *TUBE, "--out", sizes, *more)
+        run("measure", whole / "initial_backbones.csv", *TUBE, "--flat", "--out", sizes, *more)
         yield from (*sorted(whole.glob("*.csv")), *sorted(sizes.glob("*.csv")))
     errors, grid = folder / "compare", folder / "grid"
     run("compare", folder / "x64" / "anneal" / "initial_backbones.csv", *TUBE, "--x64", "--out", errors)
