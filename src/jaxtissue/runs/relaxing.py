@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import IO, Any
@@ -45,7 +45,6 @@ class _Watch:
     names: tuple[str, ...] | None
     domain: Any
     stop: Stop
-    energies: dict[int, float] = field(default_factory=dict)
 
     def __call__(self, record: RelaxRecord, positions: np.ndarray) -> bool:
         rows = [record._fields] if record.step == 0 else []
@@ -53,7 +52,6 @@ class _Watch:
         self.table.write("".join(",".join(row) + "\n" for row in rows))
         self.table.flush()
         save_tissue(self.folder, self.domain, BackboneTable(positions, self.names))
-        self.energies[record.step] = record.energy
         return bool(self.stop.signal)
 
 
