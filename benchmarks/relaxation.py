@@ -13,6 +13,9 @@ import numpy as np
 
 import jaxtissue as jt
 
+# one after another, with the most steps of all but the last
+METHODS: tuple[dict[str, int], ...] = ({"lbfgs": 0}, {"fire": 0}, {"lloyd": 0}, {"lloyd": 5, "lbfgs": 0})
+
 
 def metropolis(place: np.ndarray, tube: jt.Tube, temperature: float, sweeps: int) -> list[tuple[float, float]]:
     """Seconds and energy after every span of sweeps."""
@@ -26,6 +29,18 @@ def metropolis(place: np.ndarray, tube: jt.Tube, temperature: float, sweeps: int
         seconds += time.perf_counter() - begin - (annealer.compile_seconds - compiled)
         curve.append((seconds, records[-1].energy))
     return curve
+
+
+def relaxed(place: np.ndarray, model: jt.Model, methods: dict[str, int]) -> tuple[list[tuple[float, float]], int, str]:
+    """Seconds and energy after every step, by methods one after another, each with its most steps; evaluations."""
+    curve, evaluations, message = [], 0, ""
+    for method, steps in methods.items():
+        found = jt.relax(place, model, method, steps=steps)
+        before = curve[-1][0] if curve else 0.0
+        curve += [(before + record.seconds, record.energy) for record in found.history]
+        place, message = found.positions, found.message
+        evaluations += found.history[-1].evaluations
+    return curve, evaluations, message
 
 
 def main() -> None:
@@ -45,15 +60,14 @@ def main() -> None:
             curve = metropolis(place, tube, temperature, options.sweeps)
             rows.append({"apical_radius": inner, "method": f"is-mh, T = {temperature:g}", "curve": curve})
         target = rows[-2]["curve"][-1]
-        for method in ("lbfgs", "fire"):
-            jt.relax(place, model, method, steps=2)
-            found = jt.relax(place, model, method, steps=options.steps)
-            curve = [(record.seconds, record.energy) for record in found.history]
+        for methods in METHODS:
+            relaxed(place, model, dict.fromkeys(methods, 2))
+            curve, evaluations, message = relaxed(place, model, methods | {list(methods)[-1]: options.steps})
             reached = next((seconds for seconds, energy in curve if energy <= target[1]), None)
-            row = {"apical_radius": inner, "method": method, "curve": curve, "message": found.message}
-            row |= {"evaluations": found.history[-1].evaluations, "seconds_to_energy_of_sweeps": reached}
+            row = {"apical_radius": inner, "method": " + ".join(methods), "curve": curve, "message": message}
+            row |= {"evaluations": evaluations, "seconds_to_energy_of_sweeps": reached}
             rows.append(row | {"sooner": target[0] / reached if reached else None})
-        for row in rows[-4:]:
+        for row in rows[-2 - len(METHODS) :]:
             print(inner, row["method"], [f"{value:.6g}" for value in row["curve"][-1]], row.get("sooner"), flush=True)
     sizes = {name: getattr(options, name) for name in ("cells", "sweeps", "steps")}
     common.write(options.out, sizes | {"rows": rows})

@@ -8,7 +8,8 @@ from conftest import read_reference
 
 import jaxtissue as jt
 from jaxtissue.measurement.quadrature import PRESETS, plan_lines, trace_lines
-from jaxtissue.minimization.relaxation import METHODS
+from jaxtissue.minimization.placed_energy import PlacedEnergy
+from jaxtissue.minimization.relaxation import MINIMIZERS
 
 # compiled as users do: that takes as long as without optimization, and is run 15 times as fast
 WITH_GRADIENT = jax.jit(jax.value_and_grad(jt.tissue_energy), static_argnames="resolution")
@@ -123,7 +124,7 @@ def swept(start) -> float:
     return energy
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", MINIMIZERS)
 def test_relaxation_goes_where_sweeps_go_and_below(start, swept, method: str):
     model = jt.tube_model(TUBE, CELLS)
     heard: list[float] = []
@@ -133,6 +134,35 @@ def test_relaxation_goes_where_sweeps_go_and_below(start, swept, method: str):
     assert result.energy < swept < 0.5 * energies[0]
     again = jt.measure_tissue(result.positions, TUBE, "draft", refine=False)
     assert float(jt.epithelial_energy(again, model).sum()) == pytest.approx(result.energy, rel=1e-4)  # lists held
+
+
+def test_centroids_are_those_of_points_however_the_tube_is_turned(start):
+    energy = PlacedEnergy(jt.tube_model(TUBE, CELLS), CELLS, PRESETS["draft"])
+    axial, radius, turn = np.meshgrid(
+        (np.arange(80) + 0.5) / 80 * 16, 2 + (np.arange(9) + 0.5) / 3, (np.arange(120) + 0.5) / 120 * 2 * np.pi
+    )
+    points = np.stack([axial.ravel(), radius.ravel(), turn.ravel()], axis=-1)
+    cosine = np.cos(points[:, 2:] - start[:, 1])
+    foot = np.clip(points[:, 1:2] * cosine, 2, 5)
+    square = (points[:, :1] - start[:, 0]) ** 2 + foot**2 - 2 * foot * points[:, 1:2] * cosine
+    cell, turn = square.argmin(axis=1), points[:, 2]
+    moments = [np.bincount(cell, points[:, 1] * by) for by in (1, points[:, 0], np.cos(turn), np.sin(turn))]
+    expected = np.stack([moments[1] / moments[0], np.arctan2(moments[3], moments[2])], axis=-1)
+    place = start * energy.units
+    energy.renew(place)
+    found = energy.centroids(place)
+    off, around = found - expected * energy.units, 2 * np.pi * energy.units[1]
+    off[:, 1] = (off[:, 1] + around / 2) % around - around / 2
+    assert np.sqrt((off**2).mean()) < 0.02 * energy.width  # points are 0.1 widths apart, lines a fourth
+    turned = place + np.array([0, 2.0])
+    np.testing.assert_allclose(energy.centroids(turned) - turned, found - place, atol=1e-4)  # float32
+
+
+def test_lloyd_makes_cells_alike(start):
+    model, energies = jt.tube_model(TUBE, CELLS), []
+    result = jt.relax(start, model, "lloyd", steps=3, callback=lambda record, _: energies.append(record.energy))
+    assert result.energy < 0.5 * energies[0] and result.energy == energies[-1] and not result.converged
+    assert jt.relax(start, model, "lloyd", steps=3, tolerance=0.5).message == "relaxed"
 
 
 def test_relaxation_ends_and_refuses():
