@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 import jaxtissue as jt
-from jaxtissue.runs.plots import label_surface
+from jaxtissue.runs.surface_maps import label_surface
 
 CELLS, SWEEPS, TURNS = (500, 5000, 50_000), 100, 3
 PIXELS = (2000, 500)

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import jaxtissue as jt
-from jaxtissue.runs.plots import label_surface
+from jaxtissue.runs.surface_maps import label_surface
 
 TUBE, CELLS, SWEEPS, COST, TEMPERATURE = jt.Tube(40.0, 4.0, 8.0), 400, 2000, 4.0, 2.0
 SHOWN = (0, 10, 100, 500, SWEEPS)

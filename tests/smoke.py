@@ -7,6 +7,7 @@ pinned versions wrote to PINNED.json.
 import csv
 import json
 import math
+import random
 import sys
 import tempfile
 import time
@@ -14,6 +15,8 @@ from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
+
+import jax
 
 from jaxtissue.cli.commands import main
 from jaxtissue.runs.settings import versions
@@ -45,12 +48,28 @@ def tables(folder: Path) -> Iterator[Path]:
             sys.exit(f"a resumed run in {precision} ends elsewhere than one that was never stopped")
         run("measure", whole / "initial_backbones.csv", *TUBE, "--flat", "--out", sizes, *more)
         yield from (*sorted(whole.glob("*.csv")), *sorted(sizes.glob("*.csv")))
+    yield from slab(folder / "slab")
     errors, grid = folder / "compare", folder / "grid"
     run("compare", folder / "x64" / "anneal" / "initial_backbones.csv", *TUBE, "--x64", "--out", errors)
     yield errors / "compare.csv"
     axes = ("--ratio", 1.5, 3, "--basal-radius", 4)
     run("grid", "--length", 12, *axes, "--cells", 24, "--sweeps", 5, "--x64", "--out", grid)
     yield grid / "table.csv"
+
+
+def slab(folder: Path) -> Iterator[Path]:
+    """Measure a tissue on a domain that is no tube: its cells and walls, compiled quickly."""
+    folder.mkdir()
+    shape = {"shape": "slab", "width": 6, "depth": 4, "thickness": 1}
+    (folder / "domain.json").write_text(json.dumps(shape), encoding="utf-8")
+    draw = random.Random(1)
+    rows = [f"{x + draw.uniform(0.2, 0.8)},{y + draw.uniform(0.2, 0.8)}" for x in range(6) for y in range(4)]
+    (folder / "backbones.csv").write_text("\n".join(["x,y", *rows]), encoding="utf-8")
+    jax.config.update("jax_disable_most_optimizations", True)
+    files = (folder / "backbones.csv", "--domain", folder / "domain.json", "--out", folder / "measured")
+    run("measure", *files, "--resolution", "draft", "--x64")
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield from sorted((folder / "measured").glob("*.csv"))
 
 
 def read_columns(path: Path, folder: Path) -> Columns:

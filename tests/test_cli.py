@@ -40,7 +40,7 @@ CONTACT_COLUMNS = (
     "transitions,is_scutoid,is_ring,pieces"
 )
 SIZES_SUMMED = [
-    *("total_volume", "total_lateral_area", "energy"),
+    *("tissue_volume", "total_volume", "total_lateral_area", "energy"),
     *("separation", "covering_radius", "tightness", "tiling_defect"),
     *("largest_volume_error", "largest_lateral_area_error", "seconds"),
 ]
@@ -273,7 +273,10 @@ def test_measure_meets_the_reference(load_reference, tmp_path, capsys):
         error = column(rows, name) - data[key]
         assert np.sqrt((error**2).mean()) <= bar * data[key].mean(), name
     np.testing.assert_array_equal(column(rows, "axial"), reference.positions[:, 0])
-    assert list(summary) == [*SIZES_SUMMED, "cells", *MEANS, "inner", "open_ends", "contact_seconds"]
+    assert list(summary) == [
+        *(*SIZES_SUMMED, "cells", "mean_neighbors", *MEANS, "inner", "open_ends", "contact_seconds")
+    ]
+    assert summary["mean_neighbors"] == summary["neighbors"]
     assert list(summary["inner"]) == ["cells", *MEANS]
     for name, key in COUNTED.items():
         np.testing.assert_array_equal(column(rows, name), data[key], err_msg=name)

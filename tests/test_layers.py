@@ -3,11 +3,13 @@
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import read_reference
 
 import jaxtissue as jt
+from jaxtissue.topology import domain_connectivity
 
 pytestmark = pytest.mark.usefixtures("quickest_compile")
 BENT = jt.BentTube(8, 1.5, 1.5, 3)
@@ -33,6 +35,9 @@ def test_a_tube_has_what_tracing_finds(name):
     assert name != "random" or len(set(first.kind)) == 4
     # measured 2e-3 on a single wall that bends where feet reach the apical end, else 1e-4
     np.testing.assert_allclose(second.area, first.area, atol=5e-3 * first.area.mean())
+    assert first.area_error is None
+    assert (np.abs(second.area - first.area) <= second.area_error + 1e-6 * first.area.mean()).mean() > 0.98
+    assert second.area_error.max() < 0.02 * first.area.mean()
     np.testing.assert_allclose(second.apical_length, first.apical_length, atol=1e-3)
     np.testing.assert_array_equal(found.is_end, traced.is_end)
     orders = [np.lexsort((t.points[:, 0], *t.cells.T)) for t in (traced.transitions, found.transitions)]
@@ -93,6 +98,35 @@ def test_lattices_touch_side_by_side_only():
     assert len(found.contacts.pairs) == 4 * 4 + 5 * 3 and not len(found.transitions.points)
     np.testing.assert_allclose(found.contacts.area, 1.5, rtol=1e-9)
     assert found.is_end.sum() == 14
+
+
+def test_walls_with_large_errors_are_named(monkeypatch):
+    monkeypatch.setattr(domain_connectivity, "DOUBTED", 1e-6)
+    with pytest.warns(UserWarning, match=r"areas of \d+ of \d+ walls may be off .* between cells \d+-\d+ \("):
+        jt.find_connectivity(random_positions(BENT, 60), BENT)
+
+
+@pytest.mark.parametrize(
+    ("domain", "euler"),
+    [
+        (jt.Ellipsoid([2, 1, 1], [2.5, 1.5, 1.5]), 2),
+        (jt.BentTube(4, 2 * math.pi, 1.5, 2.5), 0),
+        (jt.Shell(lambda n: n * jnp.array([1.5, 1.0, 1.0]), lambda n: n * 1.9), 2),
+    ],
+)
+def test_closed_shapes_have_the_degree_of_their_euler_number(domain, euler):
+    """6 - 6 euler / n on each surface, and more neighbors in all by half of the transitions."""
+    positions = random_positions(domain, 60)
+    if euler == 0:  # random cells go round, or nearly so
+        row, column = np.divmod(np.arange(90), 6)
+        lattice = np.stack([(row + 0.5) / 15 * domain.base.extent[0], (column + row % 2 / 2) * math.pi / 3], axis=1)
+        positions = lattice + np.random.default_rng(0).normal(size=(90, 2)) * [0.2, 0.15]
+    found = jt.find_connectivity(positions, domain)
+    summary = jt.summarize_connectivity(found)
+    assert summary["apical_degree"] == pytest.approx(6 - 6 * euler / len(positions), abs=1e-12)
+    assert summary["basal_degree"] == pytest.approx(summary["apical_degree"], abs=1e-12)
+    assert summary["identity_residual"] == pytest.approx(0, abs=1e-12)
+    assert found.transitions.open_ends == 0 and len(found.transitions.points) > 5 and not found.is_end.any()
 
 
 def test_cells_that_go_round_are_refused():

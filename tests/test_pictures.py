@@ -19,8 +19,8 @@ from jaxtissue.pictures.scenes import centers
 from jaxtissue.runs import formats
 from jaxtissue.runs.backbone_files import BackboneTable
 from jaxtissue.runs.formats import VIEWED
-from jaxtissue.runs.plots import label_surface
 from jaxtissue.runs.run_folders import save_tissue
+from jaxtissue.runs.surface_maps import label_surface
 from jaxtissue.runs.viewing import VIEWS, find_scutoid, view_tissue
 
 TUBE = Tube(6, 1, 3)

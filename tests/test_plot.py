@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.runs.plots import Tissue, label_surface, plot_energy, plot_surfaces, plot_volumes
+from jaxtissue.runs.plots import Tissue, plot_energy, plot_surfaces, plot_volumes
+from jaxtissue.runs.surface_maps import label_surface
 
 TUBE = Tube(20, 2, 5)
 POSITIONS = np.asarray(TUBE.random_positions(jax.random.key(3), 12))

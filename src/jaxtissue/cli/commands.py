@@ -17,7 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtissue.cli.information import info
-from jaxtissue.cli.inputs import find_part, given_domain, need_relative, read_tissue, refuse_both
+from jaxtissue.cli.inputs import (
+    find_part,
+    found_contacts,
+    given_domain,
+    need_relative,
+    read_tissue,
+    refuse_both,
+    refuse_tolerance,
+)
 from jaxtissue.cli.options import command_parser
 from jaxtissue.compilation import program_cache
 from jaxtissue.compilation.batching import keep_compiled
@@ -30,7 +38,8 @@ from jaxtissue.geometry.domain_files import domain_values, load_domain
 from jaxtissue.geometry.tube import TUBE_SIZES, Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.annealing import resume_annealing, run_annealing
-from jaxtissue.runs.grids import AXES, Grid
+from jaxtissue.runs.grids import AXES, SIZES, Grid
+from jaxtissue.runs.pages import write_page
 from jaxtissue.runs.reports import (
     compare_presets,
     contact_summary,
@@ -42,7 +51,6 @@ from jaxtissue.runs.settings import Settings, provenance
 from jaxtissue.system.files import check_folder, make_folder, write_json
 from jaxtissue.system.locks import alone
 from jaxtissue.system.streams import open_streams
-from jaxtissue.topology.statistics import find_connectivity
 
 CONFIG: Any = jax.config  # its settings are not declared
 
@@ -130,6 +138,9 @@ def grid(arguments: dict[str, Any]) -> int:
     places = [arguments.pop(name) for name in ("part", "slurm", "distributed", "coordinator", "process")]
     _use_x64(arguments["x64"])
     refuse_both(arguments, "minimum_contact")
+    if domain := given_domain(arguments, load_domain, SIZES):
+        is_tube = isinstance(domain, Tube)
+        arguments |= {s: [getattr(domain, s)] for s in TUBE_SIZES} if is_tube else {"domain": domain_values(domain)}
     axes = {name: arguments.pop(name) for name in AXES if name in arguments}
     need_relative(arguments, axes)
     runs = Grid(axes, arguments)
@@ -142,7 +153,7 @@ def grid(arguments: dict[str, Any]) -> int:
 
 
 def measure(arguments: dict[str, Any]) -> int:
-    """Measure the cells of given backbones, and trace their contacts."""
+    """Measure the cells of given backbones, and find their contacts."""
     from jaxtissue.runs import plots
     from jaxtissue.runs.viewing import leave_pictures
 
@@ -150,16 +161,18 @@ def measure(arguments: dict[str, Any]) -> int:
     refuse_both(arguments, "minimum_contact", "graph")
     check_folder(folder, arguments["force"])
     _use_x64(arguments["x64"])
-    tube, backbones = read_tissue(arguments)
+    domain, backbones = read_tissue(arguments)
+    refuse_tolerance(domain, arguments["tolerance"])
     place, connectivity, tracing = backbones.positions, None, 0.0
     if not arguments["no_contacts"]:
         _say(f"tracing the contacts of {len(place)} cells")
         begun = time.perf_counter()
-        connectivity = find_connectivity(place, tube, arguments["minimum_contact"])
+        connectivity = found_contacts(place, domain, arguments["minimum_contact"])
         tracing = time.perf_counter() - begun
     _say(f"measuring {len(place)} cells")
-    model = tube_model(tube, len(place), arguments["modulus"], arguments["tension"])
-    warn_of_coarse_places(model, len(place), np.dtype(jnp.result_type(float)))
+    model = tube_model(domain, len(place), arguments["modulus"], arguments["tension"])
+    if isinstance(domain, Tube):
+        warn_of_coarse_places(model, len(place), np.dtype(jnp.result_type(float)))
     begun = time.perf_counter()
     columns, summary = tabulate_cells(
         place, model, arguments["resolution"], backbones.names, connectivity, arguments["tolerance"]
@@ -167,17 +180,20 @@ def measure(arguments: dict[str, Any]) -> int:
     summary["seconds"] = time.perf_counter() - begun
     with alone(folder):
         make_folder(folder, FILES)
-        save_tissue(folder, tube, backbones)
+        save_tissue(folder, domain, backbones)
         storage.write_table(folder / CELLS, columns)
         if connectivity is not None:
             write_contacts(folder, connectivity, columns if arguments["graph"] else None)
             summary |= contact_summary(connectivity) | {"contact_seconds": tracing}
         write_json(folder / SUMMARY, summary)
         _print_summary(summary)
-        shown = plots.Tissue("unrolled", place, columns["volume"])
-        plots.save_figure(folder / "surfaces.png", partial(plots.plot_surfaces, tube, [shown]))
-        tissue = TissueRecord(place, tube, backbones.names, traced=connectivity)
-        leave_pictures(tissue, folder, arguments["flat"] or connectivity is None)
+        shown = plots.Tissue("unrolled" if plots.unrolls(domain) else "", place, columns["volume"])
+        plots.save_figure(folder / "surfaces.png", partial(plots.plot_surfaces, domain, [shown]))
+        if isinstance(domain, Tube):
+            tissue = TissueRecord(place, domain, backbones.names, traced=connectivity)
+            leave_pictures(tissue, folder, arguments["flat"] or connectivity is None)
+        else:
+            write_page(folder)
     return 0
 
 
@@ -205,8 +221,8 @@ def compare(arguments: dict[str, Any]) -> int:
     if folder:
         check_folder(folder, arguments["force"])
     _use_x64(arguments["x64"])
-    tube, backbones = read_tissue(arguments)
-    errors, exact_seconds = compare_presets(backbones.positions, tube, samples)
+    domain, backbones = read_tissue(arguments)
+    errors, exact_seconds = compare_presets(backbones.positions, domain, samples)
     if folder:
         make_folder(folder)
         storage.write_table(folder / "compare.csv", errors)

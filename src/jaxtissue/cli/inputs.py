@@ -1,13 +1,15 @@
 """What the commands are given: checks of options that go together, and the tissue of files and sizes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxtissue.geometry.domain_files import load_tube
+from jaxtissue.geometry.domain_files import load_domain, load_tube
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import TUBE_SIZES, Tube
 from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
 from jaxtissue.runs.distributed import Part, join, slurm_part
+from jaxtissue.topology.statistics import Connectivity, find_connectivity
 
 
 def need_relative(arguments: dict[str, Any], given: dict[str, Any]) -> None:
@@ -25,18 +27,34 @@ def refuse_both(arguments: dict[str, Any], *names: str) -> None:
             raise ValueError(f"{option} needs contacts; leave it or --no-contacts out")
 
 
-def read_tissue(arguments: dict[str, Any]) -> tuple[Tube, BackboneTable]:
-    """The tube and the backbones that a command is given."""
-    tube = given_domain(arguments) or Tube(*_tube_sizes(arguments))
-    return tube, read_backbones(arguments["file"], tube, arguments["degrees"])
+def refuse_tolerance(domain: Tube | Domain, tolerance: float | None) -> None:
+    """Raise `ValueError` for a tolerance on other domains than tubes."""
+    if tolerance is not None and not isinstance(domain, Tube):
+        raise ValueError("--tolerance is for tubes alone; give a finer --resolution, as fine, for other domains")
 
 
-def given_domain(arguments: dict[str, Any], load: Callable[[Path], Any] = load_tube) -> Any:
+def found_contacts(positions: Any, domain: Tube | Domain, minimum: float) -> Connectivity:
+    """The contacts of a tissue. Raises `ValueError` that names the way without them where they can't be found."""
+    try:
+        return find_connectivity(positions, domain, minimum)
+    except ValueError as error:
+        raise ValueError(f"{error}; or measure sizes alone, with --no-contacts") from error
+
+
+def read_tissue(arguments: dict[str, Any]) -> tuple[Tube | Domain, BackboneTable]:
+    """The tube or other domain and the backbones that a command is given."""
+    domain = given_domain(arguments, load_domain) or Tube(*_tube_sizes(arguments))
+    return domain, read_backbones(arguments["file"], domain, arguments["degrees"])
+
+
+def given_domain(
+    arguments: dict[str, Any], load: Callable[[Path], Any] = load_tube, sizes: Sequence[str] = TUBE_SIZES
+) -> Any:
     """The domain of --domain, which is taken out of the arguments. Raises `ValueError` for sizes beside it."""
     path = arguments.pop("domain", None)
     if path is None:
         return None
-    for name in TUBE_SIZES:
+    for name in sizes:
         if name in arguments:
             option = "--" + name.replace("_", "-")
             raise ValueError(f"{option} is a size of the domain in {path}; leave it or --domain out")

@@ -52,7 +52,9 @@ def command_parser() -> argparse.ArgumentParser:
     _add_relax(options["relax"])
     for name in ("measure", "compare"):
         command = options[name]
-        command.add_argument("file", type=Path, metavar="FILE", help="backbones as CSV: columns axial,angle")
+        command.add_argument(
+            "file", type=Path, metavar="FILE", help="CSV of backbones: axial,angle or the domain's columns"
+        )
         command.add_argument("--degrees", action="store_true", help=DEGREES)
         _add_domain(command)
         for size in TUBE_SIZES:
@@ -126,7 +128,7 @@ def _add_start(command: argparse.ArgumentParser) -> None:
     _add(start, "cells", "number of random cells to start from", Settings.cells, type=_count(1), metavar="N")
 
 
-def _add_domain(command: argparse.ArgumentParser) -> None:
+def _add_domain(command: Any) -> None:
     _add(command, "domain", "JSON file of the tissue's shape and sizes, in place of the sizes of the tube", None,
          type=Path, metavar="FILE")  # fmt: skip
 
@@ -151,6 +153,7 @@ def _add_grid(command: argparse.ArgumentParser) -> None:
         default = getattr(Settings, name, None)
         _add(grid, name, text, default, type=kind, metavar=metavar, nargs="+")
     shared = command.add_argument_group("what all rows share")
+    _add_domain(shared)
     _add(shared, "sweeps", "a sweep proposes one move per cell", Settings.sweeps, type=_count(0), metavar="N")
     _add(shared, "final_temperature", "cool down to it", None, type=positive, metavar="T")
     _add(shared, "resolution", "draft, standard, fine or LAYERSxDENSITY", Settings.resolution,

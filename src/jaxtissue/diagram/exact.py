@@ -1,5 +1,7 @@
 """The exact path: cells of sampled backbones from Qhull, clipped exactly to the tube, in 64 bits on the host.
 
+On other domains it is that of `layer_cuts`.
+
 Each backbone is sampled at equally spaced points, both ends included. The Voronoi facets between samples of
 different backbones tile the walls of the cells; they are clipped in closed form. Slow and accurate: for tests
 and for checking the fast measures, not for dynamics.
@@ -14,18 +16,22 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree, Voronoi
 
 from jaxtissue.diagram.facet_moments import Clip, Edges, at, clipped_moments, straight_moments, take
-from jaxtissue.geometry.positions import as_positions, require_tube
+from jaxtissue.diagram.layer_cuts import measure_layers
+from jaxtissue.geometry.domain_positions import as_domain_positions
+from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 
 LONGEST = 1e4  # basal radii
 UNFILLED = 1e-6  # of the tube, by which volumes may differ in sum
+A_LAYER = 3  # samples of a backbone for each layer, and for each triangle across a cell, on other domains
 
 
 class ExactDiagram(NamedTuple):
-    """The cells of a tube and the walls between them, as the exact path measures them.
+    """The cells of a tissue and the walls between them, as the exact path measures them.
 
     Attributes:
-        volume: V_i, the volume of each cell, [n], in the unit of the tube's lengths cubed.
+        volume: V_i, the volume of each cell, [n], in the unit of the lengths cubed.
         lateral_area: A_i, the area of the walls of each cell with other cells, [n], in that unit squared.
         pairs: The two cells a < b of each wall, [m, 2], sorted.
         wall_area: The area of each wall, [m].
@@ -60,7 +66,7 @@ class _Facets(NamedTuple):
     edges: Edges  # counterclockwise around n
 
 
-def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDiagram:
+def exact_cells(positions: ArrayLike, domain: Tube | Domain, samples: int = 50) -> ExactDiagram:
     """Measure cells by a Voronoi diagram of samples of the backbones, clipped exactly to the tube (paper, section 4.1).
 
     Slow and accurate, in 64 bits on the host: it checks the fast measurement. The volume of cell a is, by the
@@ -69,9 +75,14 @@ def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDia
     with q the feet on the two backbones: the facets zigzag around the wall and are larger. Only walls between cells
     count. The volumes add up to the tube's for every number of samples, and the errors fall with its square.
 
+    On other domains no backbones are sampled. There layers of Gauss-Legendre, samples / 3 of them, are cut into so many
+    triangles across the mean cell, whose corners have the label of the nearest backbone, and these are cut along the
+    walls between. Errors fall with the square of the samples too.
+
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        tube: The tube that the backbones stand in.
+        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes; on other domains
+            than a tube their coordinates, [n, 2], or unit vectors, [n, 3].
+        domain: The tube that the backbones stand in, or any other domain.
         samples: The number of samples on each backbone, equally spaced, both ends included.
 
     Returns:
@@ -90,7 +101,10 @@ def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDia
     """
     if samples < 2:
         raise ValueError(f"samples = {samples}: a backbone needs its two ends, give samples >= 2")
-    require_tube(tube)
+    if isinstance(domain, Domain):
+        parts = max(2, round(samples / A_LAYER))
+        return _walled(*measure_layers(as_domain_positions(positions, domain, np.float64), domain, parts, parts))
+    tube = domain
     radii = float(tube.length / tube.basal_radius)
     if radii > LONGEST:
         message = f"length={tube.length} is {radii:.3g} basal radii; the exact path takes {LONGEST:.0f} at most"
@@ -118,9 +132,15 @@ def exact_cells(positions: ArrayLike, tube: Tube, samples: int = 50) -> ExactDia
     real = np.flatnonzero((b < n) & (moments[0] > 1e-14 * basal**2))
     keys, wall = np.unique(a[real] * n + b[real], return_inverse=True)
     pairs = np.stack(np.divmod(keys, n), axis=1)
-    wall_area, lateral_area = np.zeros(len(keys)), np.zeros(n)
+    wall_area = np.zeros(len(keys))
     moments, planes = moments[:, real], take(facets.planes, real)
     np.add.at(wall_area, wall, moments[0] * _cosine(planes, facets.cells[:, real], moments, backbones))
+    return _walled(volume, pairs, wall_area)
+
+
+def _walled(volume: np.ndarray, pairs: np.ndarray, wall_area: np.ndarray) -> ExactDiagram:
+    """The cells with the areas of their walls."""
+    lateral_area = np.zeros(len(volume))
     np.add.at(lateral_area, pairs, wall_area[:, None])
     return ExactDiagram(volume, lateral_area, pairs, wall_area)
 

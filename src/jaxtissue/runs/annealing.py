@@ -22,7 +22,7 @@ from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.pages import write_page
-from jaxtissue.runs.reports import contact_summary, tabulate_cells, write_contacts
+from jaxtissue.runs.reports import contact_summary, contacts_of_run, tabulate_cells, write_contacts
 from jaxtissue.runs.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
 from jaxtissue.runs.settings import Settings, now, other_bits
 from jaxtissue.system.files import (
@@ -31,7 +31,6 @@ from jaxtissue.system.files import (
 )
 from jaxtissue.system.locks import alone
 from jaxtissue.system.signals import Stop
-from jaxtissue.topology.statistics import find_connectivity
 
 KEPT_SWEEPS = (0, 1, 5, 25, 50, 100, 250, 500, 1000, 2500, 5000, 10_000)  # drawn in the figures
 CHECKPOINT_SECONDS = 2.0  # with sweeps shorter than this no more than 4 s are ever lost
@@ -151,10 +150,9 @@ def _finish(run: Run, flat: bool, ended: bool = True) -> None:
     model, settings = run.annealer.model, run.settings
     connectivity, place = None, run.state.positions
     is_tube = isinstance(model.domain, Tube)
-    traced = is_tube and not settings.no_contacts
-    say("measuring, tracing contacts, drawing" if traced else "measuring and drawing")
-    if traced:
-        connectivity = find_connectivity(place, model.tube, settings.minimum_contact)
+    say("measuring and drawing" if settings.no_contacts else "measuring, tracing contacts, drawing")
+    if not settings.no_contacts:
+        connectivity = contacts_of_run(place, model.domain, settings.minimum_contact)
     columns, summary = tabulate_cells(place, model, settings.resolution, run.names, connectivity)
     storage.write_backbones(run.folder / "backbones.csv", place, run.names, column_names(model.domain))
     storage.write_table(run.folder / "cells.csv", columns)
@@ -172,10 +170,9 @@ def _finish(run: Run, flat: bool, ended: bool = True) -> None:
     figures: list[Any] = [
         partial(plot_energy, sweeps, measured, "total, of the table of cells"),
         partial(plot_volumes, list(volumes), list(volumes.values()), float(model.mean_volume)),
+        partial(plot_surfaces, model.domain, tissues),
     ]
-    if is_tube:
-        figures.append(partial(plot_surfaces, model.tube, tissues))
-    for name, draw in zip(FIGURES, figures, strict=False):
+    for name, draw in zip(FIGURES, figures, strict=True):
         save_figure(run.folder / name, draw)
     energy = {"initial": sweeps["energy"][0], "final": sweeps["energy"][-1]}
     energy |= {"final_measured": summary["energy"]}

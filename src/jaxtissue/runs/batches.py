@@ -10,8 +10,9 @@ from jaxtyping import Float
 from jaxtissue.compilation.modes import random_key
 from jaxtissue.dynamics.annealer import Annealer, AnnealState, advance_together, record_together
 from jaxtissue.dynamics.sweep_log import SweepRecord
+from jaxtissue.runs.reports import contacts_of_run
 from jaxtissue.runs.settings import Settings
-from jaxtissue.topology.statistics import find_connectivity, summarize_connectivity
+from jaxtissue.topology.statistics import summarize_connectivity
 
 
 class Outcome(NamedTuple):
@@ -57,15 +58,16 @@ def anneal_batch(
 
 def _start(annealer: Annealer, row: Settings) -> AnnealState:
     """The state before the first sweep, as in a run of its own."""
-    tube = row.tube
-    return annealer.start(tube.reflect(tube.random_positions(random_key(row.seed), row.cells)))
+    domain = row.place
+    return annealer.start(domain.reflect(domain.random_positions(random_key(row.seed), row.cells)))
 
 
 def summarize(row: Settings, outcome: Outcome) -> dict[str, Any]:
     """The results of a run, as columns of the table: energies by its own resolution, means over its sweeps.
 
     `drift` is the largest of any sweep. Unless contacts are left out, the means of `summarize_connectivity`
-    over all cells follow, and those over cells that touch no end of the tube, with names that begin `inner_`.
+    over all cells follow, and those over cells that touch no end of the tube, with names that begin `inner_`. On other
+    domains they are left out, with a warning, where contacts can't be found.
     """
     first, last, sweeps = outcome.records[0], outcome.records[-1], outcome.records[1:]
 
@@ -78,8 +80,8 @@ def summarize(row: Settings, outcome: Outcome) -> dict[str, Any]:
     columns |= {"collisions": sum(record.collisions for record in sweeps)}
     columns |= {"drift": max((record.drift for record in sweeps), default=0.0)}
     columns |= {"seconds": sum(record.seconds for record in sweeps)}
-    if not row.no_contacts:
-        connectivity = find_connectivity(outcome.positions, row.tube, row.minimum_contact)
+    connectivity = None if row.no_contacts else contacts_of_run(outcome.positions, row.place, row.minimum_contact)
+    if connectivity is not None:
         columns |= summarize_connectivity(connectivity)
         inner = summarize_connectivity(connectivity, inner_only=True)
         columns |= {f"inner_{name}": value for name, value in inner.items()}

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from jaxtissue.dynamics.memory import tell_memory
 from jaxtissue.dynamics.sweep_log import SweepRecord
+from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.runs import storage
 from jaxtissue.runs.batches import Outcome, anneal_batch, batches, summarize, usual_batch
 from jaxtissue.runs.distributed import Part
@@ -62,7 +63,7 @@ class GridRun:
     def store(self, number: int, outcome: Outcome) -> None:
         """Write a row's backbones, and then the row, by which it is done."""
         row, backbones = self.rows[number], self.path(number, "backbones", "csv")
-        storage.write_backbones(backbones, outcome.positions)
+        storage.write_backbones(backbones, outcome.positions, columns=column_names(row.place))
         values = describe(row) | summarize(row, outcome) | {"backbones": backbones.name}
         kept = {"row": values, "files": {f"backbones/{backbones.name}": checksum(backbones)}}
         write_sealed(self.path(number, "rows", "json"), kept)
@@ -110,7 +111,7 @@ def _go_on(run: GridRun, batch: int) -> int:
     missing = [number for number in mine if number in set(missing)]
     done = f"{len(mine) - len(missing)} of this part's {len(mine)} are done"
     _say(f"{len(run.rows)} rows in {run.folder}; {done}")
-    if missing:
+    if missing and run.rows[0].domain is None:
         _say(_memory([run.rows[number] for number in missing], batch))
     if _anneal(run, missing, batch) and (not run.part.joined or _await_others(run)):
         return _finish(run)

@@ -11,6 +11,7 @@ from jaxtissue.runs.settings import Settings
 
 AXES = ("length", "basal_radius", "ratio", "apical_radius", "cells", "modulus", "tension", "temperature")
 AXES += ("seed",)  # the later, the faster it runs
+SIZES = ("length", "basal_radius", "ratio", "apical_radius")  # of tubes: what a domain of a file takes the place of
 _SETTINGS = {setting.name for setting in fields(Settings)}
 
 
@@ -20,8 +21,8 @@ class Grid:
 
     An axis is one of `AXES`, `ratio` being R_b / R_a; what is on no axis and not shared has its default. Each
     row is the run that `jaxtissue anneal` makes with the same settings, to the bit. Raises `ValueError` for
-    other names, an axis without values, a value given twice, both `ratio` and `apical_radius`, and sizes that
-    make no tube.
+    other names, an axis without values, a value given twice, both `ratio` and `apical_radius`, sizes beside a domain,
+    and sizes that make no tube.
 
     >>> grid = Grid({"seed": [0, 1], "ratio": [2, 5]}, {"sweeps": 3})
     >>> [(row.apical_radius, row.seed) for row in grid.rows]
@@ -45,8 +46,11 @@ class Grid:
                 raise ValueError(f"{name!r} can't be shared by all rows; leave it out")
         if {"ratio", "apical_radius"} <= self.axes.keys():
             raise ValueError("ratio and apical_radius both set the lumen; leave one out")
+        for name in SIZES:
+            if self.shared.get("domain") is not None and name in self.axes:
+                raise ValueError(f"{name} is a size of tubes; leave it or the domain out")
         for row in self.rows:
-            _ = row.tube
+            _ = row.place
 
     @property
     def rows(self) -> list[Settings]:
@@ -73,6 +77,8 @@ class Grid:
         for setting in fields(Settings):
             name, value = setting.name, self.shared.get(setting.name, setting.default)
             if name in ("backbones", "degrees") or (name == "apical_radius" and "ratio" in self.axes):
+                continue
+            if name in SIZES if self.shared.get("domain") is not None else name == "domain":
                 continue
             listed.setdefault(name, [value] if name in AXES else value)
         return listed
@@ -109,8 +115,19 @@ def _told(value: Any) -> str:
 
 def describe(row: Settings) -> dict[str, Any]:
     """The parameters of a run as columns of the table."""
-    names = ("length", "apical_radius", "basal_radius", "cells", "modulus", "tension", "temperature", "seed")
-    values = {name: getattr(row, name) for name in (*names, "sweeps", "algorithm", "resolution")}
+    names = ("cells", "modulus", "tension", "temperature", "seed", "sweeps", "algorithm", "resolution")
+    values = _sizes(row) | {name: getattr(row, name) for name in names}
     values |= {"relative": True} if row.relative else {}
-    values |= {} if row.final_temperature is None else {"final_temperature": row.final_temperature}
-    return {"ratio": row.basal_radius / row.apical_radius} | values
+    return values | ({} if row.final_temperature is None else {"final_temperature": row.final_temperature})
+
+
+def _sizes(row: Settings) -> dict[str, Any]:
+    """The sizes of a tube, or the shape and the sizes of another domain, one number each."""
+    if row.domain is None:
+        sizes = {name: getattr(row, name) for name in ("length", "apical_radius", "basal_radius")}
+        return {"ratio": row.basal_radius / row.apical_radius} | sizes
+    found = {}
+    for name, value in row.domain.items():
+        several = value if isinstance(value, list | tuple) else None
+        found |= {f"{name}_{k + 1}": part for k, part in enumerate(several)} if several else {name: value}
+    return found

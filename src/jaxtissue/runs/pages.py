@@ -18,8 +18,8 @@ CAPTIONS = {
     "tissue.png": "The tissue, cut open: the lumen, and the cells from the apical to the basal surface. "
     "Neighbors have different colors.",
     "scutoid.png": "A scutoid among the cells at its transition points, the black balls, where cells change neighbors.",
-    "surfaces.png": "The unrolled basal and apical surface: the same cells have other neighbors on one than on the "
-    "other. A cell's color is its volume.",
+    "surfaces.png": "The basal and the apical surface, unrolled, or from two sides where they are closed: the same "
+    "cells may have other neighbors on one than on the other. A cell's color is its volume.",
     "energy.png": "The energy over the sweeps.",
     "volumes.png": "The volumes of the cells after some of the sweeps, from the smallest to the largest.",
     "internal.png": "Two cells that touch within the tissue only.",

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import ArrayLike, Float
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -21,24 +21,25 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from jaxtissue.compilation.modes import usual_modes
-from jaxtissue.diagram.point_location import label_points
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.runs.surface_maps import DEGREES, SurfaceMap, axis_labels, map_surface, unrolls
 from jaxtissue.system.files import replacing
 
 # Okabe and Ito's colors, which color-blind readers tell apart.
 _BLUE, _ORANGE, _GREEN = "#0072B2", "#D55E00", "#009E73"
 _WALL = (0.15, 0.15, 0.15, 1.0)
+_NOTHING = (1.0, 1.0, 1.0, 1.0)
 # Without the darkest ends, on which walls and dots would not show.
 _SMALL_TO_LARGE = ListedColormap(mpl.colormaps["RdBu_r"](np.linspace(0.12, 0.88, 256)))
 _PIXELS = (1000, 480)  # of an unrolled surface, along the axis and around it
 
 
 class Tissue(NamedTuple):
-    """A tissue to draw: what it is called, its (axial, angle) positions and the volumes of its cells."""
+    """A tissue to draw: what it is called, its positions and the volumes of its cells."""
 
     title: str
-    positions: Float[ArrayLike, "n 2"]
+    positions: Float[ArrayLike, "n d"]
     volume: Float[ArrayLike, "n"]
 
 
@@ -164,54 +165,47 @@ def plot_grid(table: Mapping[str, ArrayLike], axes: Sequence[str], ax: Axes | No
     return figure, panel
 
 
-def plot_surfaces(tube: Tube, tissues: Sequence[Tissue]) -> tuple[Figure, np.ndarray]:
-    """The unrolled basal (top) and apical (bottom) surface of tissues, one column each (paper, Fig. 9).
+def plot_surfaces(domain: Tube | Domain, tissues: Sequence[Tissue]) -> tuple[Figure, np.ndarray]:
+    """The basal (top) and apical (bottom) surface of tissues, unrolled in one column each (paper, Fig. 9).
 
-    A cell's color is its volume / the tissue's mean volume; lines are the walls, dots the backbones' ends.
-    The axes come as an array [2, tissues].
+    Closed surfaces are seen from two sides, in two columns. A cell's color is its volume / the tissue's mean volume;
+    lines are the walls, dots the backbones' ends. The axes come as an array [2, columns].
     """
-    figure = Figure(figsize=(1 + 6 * len(tissues), 7), layout="constrained")
-    axes = figure.subplots(2, len(tissues), sharex=True, sharey=True, squeeze=False)
+    per_tissue = 1 if unrolls(domain) else 2
+    width = 6 if unrolls(domain) else 3.6
+    figure = Figure(figsize=(1 + width * per_tissue * len(tissues), 7), layout="constrained")
+    together = unrolls(domain)
+    axes = figure.subplots(2, per_tissue * len(tissues), sharex=together, sharey=together, squeeze=False)
     shades = ScalarMappable(Normalize(0, 2), _SMALL_TO_LARGE)
-    for column, tissue in zip(axes.T, tissues, strict=True):
+    for tissue, columns in zip(tissues, np.split(axes, len(tissues), axis=1), strict=True):
         relative = np.asarray(tissue.volume) / np.mean(np.asarray(tissue.volume))
-        for surface, panel in zip(("basal", "apical"), column, strict=True):
-            labels = label_surface(tissue.positions, tube, surface, _PIXELS)
-            _draw_map(panel, labels, shades.to_rgba(relative), float(tube.length))
-            axial, angle = np.asarray(tissue.positions, float).T
-            panel.plot(axial, np.degrees(angle) % 360, ".", color="black", markersize=2)
-            panel.set_title(f"{surface} surface, {tissue.title}")
+        for surface, row in zip(("basal", "apical"), columns, strict=True):
+            maps = map_surface(np.asarray(tissue.positions), domain, surface, _PIXELS)
+            for panel, shown in zip(row, maps, strict=True):
+                _draw_map(panel, shown, shades.to_rgba(relative))
+                told = filter(None, (f"{surface} surface", tissue.title, shown.view))
+                panel.set_title(", ".join(told), fontsize=None if together else "medium")
+    across, up = axis_labels(domain)
     for panel in axes[:, 0]:
-        panel.set(ylabel="angle (degrees)", yticks=range(0, 361, 60))
+        panel.set_ylabel(up)
+        if up == DEGREES:
+            panel.set_yticks(range(0, 361, 60))
     for panel in axes[1]:
-        panel.set_xlabel("axial position (tube units)")
+        panel.set_xlabel(across)
     dot = Line2D([], [], linestyle="", marker=".", color="black", label="end of a backbone")
     figure.legend(handles=[dot, Line2D([], [], color=_WALL, label="wall")], loc="outside lower center", ncols=2)
     figure.colorbar(shades, ax=axes, label="cell volume / mean volume", extend="max", shrink=0.8)
     return figure, axes
 
 
-@usual_modes()
-def label_surface(
-    positions: Float[ArrayLike, "n 2"], tube: Tube, surface: str, shape: tuple[int, int]
-) -> Int[np.ndarray, "axial angular"]:
-    """The cell that holds the center of each pixel of the unrolled `apical` or `basal` surface.
-
-    Pixel (i, j) is centered at x = (i + 1/2) L / shape[0] and the angle (j + 1/2) 2 pi / shape[1].
-    """
-    axial = (np.arange(shape[0]) + 0.5) / shape[0] * float(tube.length)
-    angle = (np.arange(shape[1]) + 0.5) / shape[1] * 2 * np.pi
-    radius = float(tube.apical_radius if surface == "apical" else tube.basal_radius)
-    x, turn = np.meshgrid(axial, angle, indexing="ij")
-    points = np.stack([x, radius * np.cos(turn), radius * np.sin(turn)], axis=-1)
-    return label_points(points, positions, tube).reshape(shape)
-
-
-def _draw_map(
-    panel: Axes, labels: Int[np.ndarray, "axial angular"], colors: Float[np.ndarray, "n 4"], length: float
-) -> None:
-    image = colors[labels]
+def _draw_map(panel: Axes, shown: SurfaceMap, colors: Float[np.ndarray, "n 4"]) -> None:
+    labels = shown.labels
+    image = np.concatenate([colors, [_NOTHING]])[labels]
     wall = labels != np.roll(labels, -1, axis=1)
-    wall[:-1] |= labels[:-1] != labels[1:]
-    image[wall] = _WALL
-    panel.imshow(image.swapaxes(0, 1), origin="lower", extent=(0, length, 0, 360), aspect="auto")
+    wall[:, -1] &= shown.goes_on[1]
+    beside = labels != np.roll(labels, -1, axis=0)
+    beside[-1] &= shown.goes_on[0]
+    image[wall | beside] = _WALL
+    aspect = "auto" if shown.is_stretched else "equal"
+    panel.imshow(image.swapaxes(0, 1), origin="lower", extent=shown.extent, aspect=aspect)
+    panel.plot(*shown.ends.T, ".", color="black", markersize=2)

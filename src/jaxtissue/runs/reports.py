@@ -16,15 +16,23 @@ from jaxtyping import Array, ArrayLike, Float
 from jaxtissue.diagram.exact import exact_cells
 from jaxtissue.diagram.spread import covering_radius, separation
 from jaxtissue.energy import Model, require_finite, tissue_energies
+from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import PRESETS, Resolution
 from jaxtissue.runs import storage
 from jaxtissue.runs.names import printable
 from jaxtissue.system.files import replacing
 from jaxtissue.tissue.measurer import as_limits, doubts, measure_tissue
 from jaxtissue.tissue.refinement import plain
-from jaxtissue.topology.statistics import Connectivity, summarize_connectivity, tabulate_connectivity, tissue_graph
+from jaxtissue.topology.statistics import (
+    Connectivity,
+    find_connectivity,
+    summarize_connectivity,
+    tabulate_connectivity,
+    tissue_graph,
+)
 
 Result = TypeVar("Result")
 _SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimeter", "basal_perimeter")
@@ -48,7 +56,8 @@ def tabulate_cells(
     columns and the exact `is_end`; without it, that is what the lines see.
     """
     if isinstance(model.domain, Domain):
-        return _tabulate_on_domain(np.asarray(positions), model, model.domain, resolution, names)
+        cells = measure_tissue(np.asarray(positions), model.domain, resolution, tolerance=tolerance)
+        return _tabulate_on_domain(np.asarray(positions), cells, model, names, connectivity)
     axial, angle = np.asarray(positions).T
     positions = model.tube.reflect(jnp.asarray(positions))
     place = np.stack([axial, angle], axis=-1)
@@ -69,6 +78,7 @@ def tabulate_cells(
     columns |= {"name": np.array(names, dtype=object)} if names else {}
     apart, covering = float(separation(positions, model.tube)), float(covering_radius(positions, model.tube))
     summary = {
+        "tissue_volume": float(model.tube.volume),
         "total_volume": columns["volume"].sum(dtype=float),
         "total_lateral_area": columns["lateral_area"].sum(dtype=float),
         "energy": energy.sum(dtype=float),
@@ -82,20 +92,22 @@ def tabulate_cells(
 
 def _tabulate_on_domain(
     place: Float[np.ndarray, "n d"],
+    cells: CellGeometry,
     model: Model,
-    domain: Domain,
-    resolution: Resolution | str,
     names: Sequence[str] | None,
+    connectivity: Connectivity | None,
 ) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """The same on domains other than tubes, without what is of distances between backbones."""
-    cells = measure_tissue(place, domain, resolution)
     energy = np.asarray(tissue_energies(cells, model))
     require_finite(energy, model)
-    columns = {"cell": np.arange(len(place))} | dict(zip(domain.columns, place.T, strict=True))
+    columns = {"cell": np.arange(len(place))} | dict(zip(column_names(model.domain), place.T, strict=True))
     columns |= {name: np.asarray(getattr(cells, name)) for name in (*_SIZES, *_ERRORS)}
     columns |= {"energy": energy, "is_end": np.asarray(cells.touches_end)}
+    if connectivity is not None:
+        columns |= {"is_end": connectivity.is_end} | tabulate_connectivity(connectivity)
     columns |= {"name": np.array(names, dtype=object)} if names else {}
-    summary = {f"total_{name}": columns[name].sum(dtype=float) for name in ("volume", "lateral_area")}
+    summary = {"tissue_volume": float(model.domain.volume)}
+    summary |= {f"total_{name}": columns[name].sum(dtype=float) for name in ("volume", "lateral_area")}
     summary |= {"energy": energy.sum(dtype=float), "tiling_defect": float(np.asarray(cells.tiling_defect))}
     return columns, summary | _largest_errors(columns)
 
@@ -109,14 +121,31 @@ def _largest_errors(columns: Mapping[str, np.ndarray]) -> dict[str, float]:
     return largest
 
 
+def contacts_of_run(
+    positions: Float[ArrayLike, "n d"], domain: Tube | Domain, minimum: float = 0.0
+) -> Connectivity | None:
+    """The contacts of a tissue; none, with a warning, on domains where they can't be found."""
+    try:
+        return find_connectivity(positions, domain, minimum)
+    except ValueError as error:
+        if isinstance(domain, Tube):
+            raise
+        warnings.warn(f"contacts are left out: {error}", stacklevel=3)
+        return None
+
+
 def contact_summary(connectivity: Connectivity) -> dict[str, Any]:
     """The means over all cells and, under `inner`, over those that touch no end, with the numbers of cells.
 
     `open_ends` counts edges of the diagram that could not be followed: parts may be missing then.
     """
     everywhere, inner = (summarize_connectivity(connectivity, only) for only in (False, True))
-    summary = {"cells": len(connectivity.is_end)} | everywhere
+    summary = {"cells": len(connectivity.is_end), "mean_neighbors": everywhere["neighbors"]} | everywhere
     summary |= {"inner": {"cells": int((~connectivity.is_end).sum())} | inner}
+    if (error := connectivity.contacts.area_error) is not None:
+        summary |= {
+            "largest_wall_area_error": float(error.max() / connectivity.contacts.area.mean()) if len(error) else 0
+        }
     return summary | {"open_ends": connectivity.transitions.open_ends}
 
 
@@ -126,8 +155,10 @@ def write_contacts(folder: Path, connectivity: Connectivity, columns: Mapping[st
     first, second = contacts.pairs.T
     names = ("area", "apical_length", "basal_length", "kind", "pieces")
     table = {"cell_a": first, "cell_b": second} | {name: getattr(contacts, name) for name in names}
+    table |= {} if contacts.area_error is None else {"area_error": contacts.area_error}
     storage.write_table(folder / "contacts.csv", table)
     points = dict(zip("xyz", transitions.points.T, strict=True))
+    points |= {} if transitions.height is None else {"height": transitions.height}
     cells = zip(("cell_a", "cell_b", "cell_c", "cell_d"), transitions.cells.T, strict=True)
     storage.write_table(folder / "transitions.csv", points | dict(cells))
     if columns is not None:
@@ -142,18 +173,18 @@ def printable_columns(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray
 
 
 def compare_presets(
-    positions: Float[ArrayLike, "n 2"], tube: Tube, samples: int
+    positions: Float[ArrayLike, "n d"], domain: Tube | Domain, samples: int
 ) -> tuple[dict[str, np.ndarray], float]:
     """Errors and warm times of the presets against the exact path, a row each, and the exact path's seconds.
 
     Errors of V and A are relative to the mean cell: rms and largest over the cells; that of the total A is
     signed. They are not numbers where there is no lateral area.
     """
-    exact, exact_seconds = _timed(lambda: exact_cells(np.asarray(positions), tube, samples))
-    positions, rows = tube.reflect(jnp.asarray(positions)), []
+    exact, exact_seconds = _timed(lambda: exact_cells(np.asarray(positions), domain, samples))
+    positions, rows = domain.reflect(jnp.asarray(positions)), []
     for name, resolution in PRESETS.items():
-        jax.block_until_ready(measure_tissue(positions, tube, resolution, refine=False))
-        cells, seconds = _timed(lambda at=resolution: measure_tissue(positions, tube, at, refine=False))
+        jax.block_until_ready(measure_tissue(positions, domain, resolution, refine=False))
+        cells, seconds = _timed(lambda at=resolution: measure_tissue(positions, domain, at, refine=False))
         volume = _relative(cells.volume, exact.volume)
         area = _relative(cells.lateral_area, exact.lateral_area)
         errors = [how for error in (volume, area) for how in (math.sqrt((error**2).mean()), abs(error).max())]

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from jaxtissue.compilation.modes import double_precision, usual_modes
 from jaxtissue.geometry.domain_positions import as_domain_positions
@@ -20,6 +20,7 @@ from jaxtissue.topology.rising import TIE, Rise, rise
 from jaxtissue.topology.transitions import CellForms, Transitions
 
 NARROW = 1e-9  # of the tissue's size: shorter edges are rounding
+DOUBTED = 0.02  # of the mean wall: areas with a larger error are warned of
 
 
 class DomainConnectivity(NamedTuple):
@@ -75,7 +76,7 @@ def _find_contacts(gaps: LayerGaps, risen: Rise, threshold: float) -> Contacts:
     n, pieces = gaps.count, risen.pieces
     chosen = (pieces.quad[:, :2] < n).all(axis=1) & (pieces.high > pieces.low)
     pieces = type(pieces)(*(part[chosen] for part in pieces))
-    area = wall_areas(gaps, pieces)
+    area, coarse = wall_areas(gaps, pieces)
     pairs = np.sort(pieces.quad[:, :2], axis=1)
     life, number = np.unique(pieces.life, return_inverse=True)
     whole = np.bincount(number, area)
@@ -83,6 +84,7 @@ def _find_contacts(gaps: LayerGaps, risen: Rise, threshold: float) -> Contacts:
     owner = np.zeros(len(life), int)
     owner[number] = row
     total = np.bincount(owner, whole, len(keys))
+    error = np.bincount(row, np.abs(area - coarse), len(keys))
     mean = total.mean() if len(total) else 0.0
     count = np.bincount(owner, whole > ROUNDOFF * mean, len(keys)).astype(int)
     lengths = []
@@ -93,7 +95,21 @@ def _find_contacts(gaps: LayerGaps, risen: Rise, threshold: float) -> Contacts:
     kind = np.array(KINDS)[(lengths[0] > 0) + 2 * (lengths[1] > 0)]
     kept = (count > 0) & (total >= max(threshold, ROUNDOFF) * total[count > 0].mean() if count.any() else False)
     names = np.stack(np.divmod(keys, n), axis=1)
-    return Contacts(n, *(column[kept] for column in (names, total, *lengths, kind, count)))
+    _warn_of_walls(names[kept], error[kept], total[kept])
+    return Contacts(n, *(column[kept] for column in (names, total, *lengths, kind, count, error)))
+
+
+def _warn_of_walls(
+    pairs: Int[np.ndarray, "m 2"], error: Float[np.ndarray, " m"], area: Float[np.ndarray, " m"]
+) -> None:
+    """Warn of walls whose areas may be off by more than a part of the mean wall, naming the worst."""
+    share = error / area.mean() if len(area) else error
+    over = np.flatnonzero(~(share <= DOUBTED))
+    if len(over):
+        worst = over[np.argsort(-share[over])[:5]]
+        named = ", ".join(f"{a}-{b} ({100 * share[k]:.2g} %)" for k, (a, b) in zip(worst, pairs[worst], strict=True))
+        told = f"the areas of {len(over)} of {len(pairs)} walls may be off by more than {100 * DOUBTED:g} % of the mean"
+        warnings.warn(f"{told}: between cells {named}; measure these cells by measure_tissue", stacklevel=5)
 
 
 @usual_modes()
