@@ -24,6 +24,7 @@ from jaxtissue.dynamics.annealer import Annealer
 from jaxtissue.dynamics.schedules import constant_schedule, geometric_schedule
 from jaxtissue.dynamics.steps import init, step
 from jaxtissue.dynamics.sweep_log import SweepRecord
+from jaxtissue.dynamics.tempering import temper
 from jaxtissue.energy import Model, epithelial_energy, lateral_tension, tube_model, volume_elasticity
 from jaxtissue.geometry.domain_files import load_domain
 from jaxtissue.geometry.shapes import BentTube, Ellipsoid, EllipticTube, Fold, RoundTube, Slab, Sphere
@@ -108,6 +109,7 @@ __all__ = [
     "step",
     "summarize_connectivity",
     "tabulate_connectivity",
+    "temper",
     "tightness",
     "tissue_energy",
     "tissue_graph",

@@ -1,0 +1,162 @@
+"""Parallel tempering: replicas at several temperatures exchange their tissues, so that none stays in one valley."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import ArrayLike, Float, Int
+from tqdm import tqdm
+
+from jaxtissue.dynamics.annealer import Annealer, AnnealState, advance_together, record_together
+from jaxtissue.dynamics.sweep_log import SweepRecord
+from jaxtissue.energy import Model
+from jaxtissue.measurement.quadrature import Resolution
+
+Callback = Callable[[Sequence[SweepRecord], Float[np.ndarray, "replicas n d"]], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class TemperResult:
+    """The result of parallel tempering.
+
+    Attributes:
+        temperatures: T of each replica, from low to high, [replicas].
+        positions: (axial, angle) of the backbones at each temperature after the last sweep, [replicas, n, 2], or what
+            positions on the domain are.
+        energies: The energy at each temperature before the first sweep and after each, [sweeps + 1, replicas].
+        origins: From which replica at the start the tissue at each temperature has come, [sweeps + 1, replicas].
+        swaps: The fraction of the proposed exchanges between each temperature and the next that were accepted,
+            [replicas - 1].
+    """
+
+    temperatures: Float[np.ndarray, "replicas"]
+    positions: Float[np.ndarray, "replicas n d"]
+    energies: Float[np.ndarray, "rows replicas"]
+    origins: Int[np.ndarray, "rows replicas"]
+    swaps: Float[np.ndarray, "pairs"]
+
+    def __repr__(self) -> str:
+        replicas, cells = self.positions.shape[:2]
+        low, high = self.temperatures[0], self.temperatures[-1]
+        told = f"T {low:g} to {high:g}, {np.mean(self.swaps):.0%} of the exchanges accepted"
+        return f"TemperResult({replicas} replicas of {cells} cells, {len(self.energies) - 1} sweeps, {told})"
+
+
+def temper(
+    positions: Any,
+    model: Model,
+    temperatures: Float[ArrayLike, "replicas"],
+    sweeps: int = 100,
+    seed: int = 0,
+    resolution: Resolution | str = "draft",
+    algorithm: str = "mh",
+    callback: Callback | None = None,
+) -> TemperResult:
+    """Sample a tissue at several temperatures at once, by parallel tempering.
+
+    Every temperature has a replica of the tissue. Between spans of up to ten sweeps, replicas that are next to each
+    other in temperature exchange their tissues with the probability min(1, exp((1/T_i - 1/T_j) (E_i - E_j))), at even
+    and at odd places in turn (Swendsen and Wang, Phys. Rev. Lett. 57, 2607, 1986). At each temperature tissues are then
+    found as often as exp(-E / T) says. Cold replicas leave valleys by way of the hot ones. All replicas run in one
+    compiled program; the same arguments give the same bits. Shows a progress bar on a terminal.
+
+    Args:
+        positions: (axial, angle) of each backbone, [n, 2], or what positions on the domain are, in any form that
+            `as_positions` takes; or a start for each replica, [replicas, n, 2].
+        model: The energy, with the tube or other domain; see `tube_model`.
+        temperatures: T of each replica, from low to high, in the unit of the energy, [replicas]. Exchanges are accepted
+            now and then if each is the one before times about 1 + 2 / sqrt(n).
+        sweeps: Number of sweeps of each replica.
+        seed: The seed of moves and exchanges, 0 to 2^32 - 1.
+        resolution: How finely cells are measured: a preset or layers and lines.
+        algorithm: "mh", one move at a time in random order, or "is-mh", independent moves together, which is faster for
+            more than about 50 cells. Its rounds are chosen from the tissue at the start of each span, so that it
+            samples exp(-E / T) only nearly.
+        callback: Called as `callback(records, positions)` after each sweep, with the record of each replica and
+            positions [replicas, n, 2]; ends the run if it returns a true value.
+
+    Returns:
+        Positions, energies and the tissues' ways from temperature to temperature.
+
+    Raises:
+        ValueError: If the positions, the temperatures, the seed, or the energy are refused; the message names the
+            value and the remedy.
+
+    >>> import jaxtissue as jt
+    >>> model = jt.tube_model(jt.Tube(length=12, apical_radius=1, basal_radius=3), 2)
+    >>> temper([[3.0, 0.0], [9.0, 0.0]], model, [2.0, 1.0])
+    Traceback (most recent call last):
+    ValueError: temperatures=[2.0, 1.0]: give two or more above 0, from low to high
+    """
+    heat = np.atleast_1d(np.asarray(temperatures, float))
+    if heat.ndim > 1 or len(heat) < 2 or not (np.isfinite(heat).all() and heat[0] > 0 and (np.diff(heat) > 0).all()):
+        raise ValueError(f"temperatures={temperatures}: give two or more above 0, from low to high")
+    if sweeps < 0 or not 0 <= seed < 2**32:
+        raise ValueError(f"sweeps={sweeps}, seed={seed}: give at least 0 sweeps, and a seed of 0 to 2^32 - 1")
+    starts = positions if np.ndim(positions) == 3 else [positions] * len(heat)
+    if len(starts) != len(heat):
+        raise ValueError(f"{len(starts)} starts for {len(heat)} temperatures; give one, or one for each")
+    plans = zip(np.random.SeedSequence(seed).generate_state(len(heat)).tolist(), heat, strict=True)
+    runs = [Annealer(model, resolution, algorithm, number, np.full(sweeps, value)) for number, value in plans]
+    states = [run.start(start) for run, start in zip(runs, starts, strict=True)]
+    ladder = _Ladder(runs, states, heat, seed)
+    energies, origins = [[record.energy for record in record_together(runs, states)]], [ladder.origin.copy()]
+    positions, ended = np.stack([state.positions for state in states]), False
+    with tqdm(total=sweeps, desc="tempering", unit="sweep", disable=None) as bar:
+        while len(energies) <= sweeps and not ended:
+            if len(energies) > 1:
+                ladder.exchange(energies[-1])
+            for records, positions in ladder.advance():
+                energies.append([record.energy for record in records])
+                origins.append(ladder.origin.copy())
+                bar.update()
+                ended = callback is not None and bool(callback(records, positions))
+                if ended:
+                    break
+    swaps = ladder.accepted / np.maximum(ladder.tried, 1)
+    return TemperResult(heat, positions, np.array(energies), np.stack(origins), swaps)
+
+
+def exchange_chance(energies: Sequence[float], temperatures: Sequence[float]) -> float:
+    """The probability that two replicas exchange their tissues, min(1, exp((1/T_i - 1/T_j) (E_i - E_j))).
+
+    >>> exchange_chance([3.0, 2.0], [1.0, 2.0]), round(exchange_chance([2.0, 3.0], [1.0, 2.0]), 4)
+    (1.0, 0.6065)
+    """
+    gain = (1 / temperatures[0] - 1 / temperatures[1]) * (energies[0] - energies[1])
+    return math.exp(min(0.0, gain))
+
+
+class _Ladder:
+    """Replicas from low to high temperature, with the tissues that stand at each."""
+
+    def __init__(
+        self, runs: list[Annealer], states: list[AnnealState], temperatures: Float[np.ndarray, "replicas"], seed: int
+    ) -> None:
+        self._runs, self._states, self._temperatures, self._seed = runs, states, temperatures, seed
+        self._turn = 0
+        self.origin = np.arange(len(runs))
+        self.tried, self.accepted = np.zeros((2, len(runs) - 1), int)
+
+    def advance(self) -> Iterator[tuple[list[SweepRecord], Float[np.ndarray, "replicas n d"]]]:
+        """Play a span of sweeps of all replicas: the records and positions after each sweep."""
+        advances = advance_together(self._runs, self._states)
+        self._states = [state for state, _, _ in advances]
+        for k in range(len(advances[0][1])):
+            yield [records[k] for _, records, _ in advances], np.stack([trail[k] for _, _, trail in advances])
+
+    def exchange(self, energies: Sequence[float]) -> None:
+        """Exchange tissues of given energies between even places and the next, or the next time between odd ones."""
+        lots = np.random.default_rng([self._seed, self._states[0].sweep, 2]).random(len(self.tried))
+        for low in range(self._turn % min(2, len(self.tried)), len(self.tried), 2):
+            pair = [low, low + 1]
+            self.tried[low] += 1
+            if lots[low] < exchange_chance(*([table[k] for k in pair] for table in (energies, self._temperatures))):
+                self.accepted[low] += 1
+                for column in (self._states, self.origin):
+                    column[low], column[low + 1] = column[low + 1], column[low]
+                first, second = (self._runs[k] for k in pair)
+                first._last, second._last = second._last, first._last
+        self._turn += 1
