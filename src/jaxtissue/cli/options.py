@@ -52,9 +52,7 @@ def command_parser() -> argparse.ArgumentParser:
     _add_relax(options["relax"])
     for name in ("measure", "compare"):
         command = options[name]
-        command.add_argument(
-            "file", type=Path, metavar="FILE", help="CSV of backbones: axial,angle or the domain's columns"
-        )
+        command.add_argument("file", type=Path, metavar="FILE", help="CSV: columns axial,angle, or the domain's")
         command.add_argument("--degrees", action="store_true", help=DEGREES)
         _add_domain(command)
         for size in TUBE_SIZES:
