@@ -26,7 +26,7 @@ import jaxtissue as jt
 tube = jt.Tube(length=12, apical_radius=2, basal_radius=5)
 start = tube.random_positions(jax.random.key(4), 40)
 truth = jt.anneal(start, tube, sweeps=30, temperature=2.0).positions
-spacing = (0.25, 0.2, 0.2)  # sides of a voxel along z, y and x
+spacing = (0.25, 0.2, 0.2)  # sides of a voxel along z, y and x, in micrometers
 image = np.pad(jt.label_image(truth, tube, spacing), 3)  # order (z, y, x), 0 outside
 print(image.shape, image.dtype, len(np.unique(image)) - 1, "cells")
 
@@ -93,7 +93,9 @@ for name, tissue in (("drawn from", jt.find_connectivity(truth, tube)), ("fitted
 figure, axes = plt.subplots(figsize=(4.5, 4.5), layout="constrained")
 axes.axline((0, 0), slope=1, color="0.7")
 axes.plot(fit.cells.volume, fit.connectivity.sizes.volume, ".", color="#0072B2")
-axes.set(xlabel="volume in the image", ylabel="volume of the model's cell", xlim=(0, None), ylim=(0, None))
+axes.set(
+    xlabel="volume in the image (µm$^3$)", ylabel="volume of the model's cell (µm$^3$)", xlim=(0, None), ylim=(0, None)
+)
 plt.close(figure)
 figure
 

@@ -15,6 +15,7 @@ from jaxtissue.geometry.domain_positions import as_positions_on, column_names
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.positions import Rows
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.runs.centroid_tables import DOUBT, centroid_columns, place_centroids
 from jaxtissue.runs.names import from_field
 
 SEPARATORS = ",;\t"
@@ -36,9 +37,13 @@ class BackboneTable(NamedTuple):
 
 
 class _Table(NamedTuple):
-    """A table as it stands: the header, the names of its columns and their units, and rows by line."""
+    """A table as it stands: the header, the names of its columns and their units, and rows by line.
+
+    `columns` are those that tell where the cells are.
+    """
 
     path: Path
+    columns: Sequence[str]
     header: str
     names: list[str]
     units: list[str]
@@ -59,7 +64,8 @@ def read_backbones(path: Path, domain: Tube | Domain, degrees: bool = False) -> 
     Headers may be in any case and carry units in brackets, such as `axial (um)`. Angles are radians, or with
     `degrees`, or in a column `angle (deg)`, degrees. They are wrapped, with a warning of those that look like
     degrees. Names stand in the first of the columns `name`, `cell`, `label`, `id`, and one without a header,
-    that has another name for each cell. Other columns are left aside.
+    that has another name for each cell. Other columns are left aside. Where a table for a `Tube` has no backbones, but
+    x, y and z of centroids, the backbones through these are taken, with a warning.
 
     Raises `ValueError`, naming file, line, value and fix, for a file that is empty or not UTF-8, a quote that
     is not closed or swallows rows, a missing column or one that is there twice, lines with fields too many,
@@ -67,9 +73,11 @@ def read_backbones(path: Path, domain: Tube | Domain, degrees: bool = False) -> 
     positions that `as_positions_on` refuses.
     """
     columns = column_names(domain)
-    table = _read_table(path, columns)
-    positions = np.stack([_numbers(table, name) for name in columns], axis=-1)
-    if "angle" in columns:
+    table = _read_table(path, columns, isinstance(domain, Tube))
+    positions = np.stack([_numbers(table, name) for name in table.columns], axis=-1)
+    if table.columns is not columns and isinstance(domain, Tube):
+        positions = _place(table, positions, domain, degrees)
+    elif "angle" in columns:
         positions[:, 1] = _radians(table, positions[:, 1], degrees)
     elif degrees:
         raise ValueError(f"--degrees is for angles, and {path} has {', '.join(columns)}; leave it out")
@@ -81,7 +89,23 @@ def read_backbones(path: Path, domain: Tube | Domain, degrees: bool = False) -> 
     return BackboneTable(place, _find_names(table))
 
 
-def _read_table(path: Path, columns: Sequence[str]) -> _Table:
+def _place(table: _Table, points: np.ndarray, tube: Tube, degrees: bool) -> Float[np.ndarray, "n 2"]:
+    """(axial, angle) of backbones through the centroids of a table, with a word of doubt."""
+    units = {table.units[table.names.index(name)] for name in table.columns}
+    if len(units) > 1:
+        raise ValueError(f"{table.path} has centroids in several units by its header {table.header!r}; give one")
+    if degrees:
+        raise ValueError(f"--degrees is for angles, and {table.path} has {', '.join(table.columns)}; leave it out")
+    try:
+        found = place_centroids(points, tube)
+    except ValueError as error:
+        raise ValueError(f"{table.path}: {error}") from error
+    warnings.warn(f"{table.path} {DOUBT}", stacklevel=3)
+    return found
+
+
+def _read_table(path: Path, columns: Sequence[str], centroids: bool) -> _Table:
+    """The table in a file; where it lacks the columns, centroids may tell where the cells are, if they are taken."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             text = file.read()
@@ -99,6 +123,8 @@ def _read_table(path: Path, columns: Sequence[str]) -> _Table:
     brackets = [_UNIT.fullmatch(field) for field in header]
     names = [(unit[1] if unit else field).strip().lower() for unit, field in zip(brackets, header, strict=True)]
     units = [unit[2].lower() if unit else "" for unit in brackets]
+    if centroids and not set(columns) <= set(names):
+        columns = centroid_columns(names) or columns
     for name in columns:
         if name not in names:
             found = f"{name!r} but {first.strip()!r}"
@@ -113,8 +139,8 @@ def _read_table(path: Path, columns: Sequence[str]) -> _Table:
             raise ValueError(f"{path} line {line} has more than the {len(names)} columns; correct it")
         row += [""] * (len(names) - len(row))
     lines, rows = zip(*records[1:], strict=True)
-    table = _Table(path, first.strip(), names, units, list(lines), list(rows), separator != ",")
-    _refuse_swallowed(table, physical, separator, columns)
+    table = _Table(path, columns, first.strip(), names, units, list(lines), list(rows), separator != ",")
+    _refuse_swallowed(table, physical, separator)
     return table
 
 
@@ -135,15 +161,15 @@ def _records(path: Path, physical: list[str], separator: str) -> Iterator[tuple[
             yield begin, row
 
 
-def _refuse_swallowed(table: _Table, physical: list[str], separator: str, columns: Sequence[str]) -> None:
+def _refuse_swallowed(table: _Table, physical: list[str], separator: str) -> None:
     """Raise `ValueError` for quotes that run over lines which are rows themselves."""
-    places = [table.names.index(name) for name in columns]
+    places = [table.names.index(name) for name in table.columns]
     ends = [*table.lines[1:], len(physical) + 1]
     for begin, end in zip(table.lines, ends, strict=True):
         for line in range(begin + 1, end):
             fields = physical[line - 1].split(separator)
             numbers = [_parse(fields[at], table.comma) for at in places if at < len(fields)]
-            if len(numbers) == len(columns) and None not in numbers:
+            if len(numbers) == len(table.columns) and None not in numbers:
                 told = f"a quote that swallows line {line}, {physical[line - 1]!r}"
                 raise ValueError(f"{table.path} line {begin} has {told}; close it")
 

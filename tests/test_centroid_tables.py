@@ -1,0 +1,72 @@
+"""Tables of centroids from other programs: their columns, the axis that is fitted to them, and what is told."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.runs.backbone_files import read_backbones
+from jaxtissue.runs.centroid_tables import COLUMNS
+
+TUBE = Tube(length=30.0, apical_radius=4.0, basal_radius=8.0)
+
+
+@pytest.fixture(scope="module")
+def positions() -> np.ndarray:
+    """Forty backbones with both ends of the tube equally far from the last ones."""
+    draw = np.random.default_rng(0)
+    axial = np.concatenate([[1.0, 29.0], draw.uniform(1, 29, 38)])
+    return np.stack([axial, draw.uniform(0, 2 * np.pi, 40)], axis=-1)
+
+
+def centroids(positions: np.ndarray, radius: float = 6.2) -> np.ndarray:
+    """Points on the backbones, turned and shifted as a tissue in an image is."""
+    axial, angle = positions.T
+    points = np.stack([axial, radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
+    return Rotation.from_euler("xyz", [0.4, 0.7, -0.5]).apply(points) + np.array([50, -20, 7])
+
+
+def write(path: Path, columns: tuple[str, ...], points: np.ndarray) -> Path:
+    text = [",".join(("label", *columns))]
+    text += [",".join(map(repr, (number, *row))) for number, row in enumerate(points.tolist(), 1)]
+    path.write_text("\n".join(text))
+    return path
+
+
+@pytest.mark.parametrize("columns", COLUMNS, ids="/".join)
+def test_centroids_on_backbones_give_these_backbones(tmp_path, positions, columns):
+    """Up to a turn round the axis, and to which end of the tube is called its beginning."""
+    path = write(tmp_path / "cells.csv", columns, centroids(positions))
+    with pytest.warns(UserWarning, match="centroids, not backbones"):
+        found, names = read_backbones(path, TUBE)
+    assert names == tuple(map(str, range(1, 41)))
+    way = np.sign(found[1, 0] - found[0, 0])
+    np.testing.assert_allclose(found[:, 0] - 15, way * (positions[:, 0] - 15), atol=1e-6)  # the fit ends within 1e-8
+    turned = np.exp(1j * (found[:, 1] - way * positions[:, 1]))
+    np.testing.assert_allclose(turned, turned[0], atol=1e-6)
+
+
+def test_outliers_do_not_move_the_axis(tmp_path, positions):
+    radius = np.where(np.arange(40) % 20 == 7, 7.6, 6.2)
+    path = write(tmp_path / "cells.csv", ("x (um)", "y (um)", "z (um)"), centroids(positions, radius))
+    with pytest.warns(UserWarning):
+        found, _ = read_backbones(path, TUBE)
+    way = np.sign(found[1, 0] - found[0, 0])
+    assert np.abs(found[:, 0] - 15 - way * (positions[:, 0] - 15)).max() < 0.1  # a plain mean: 0.2
+
+
+def test_what_is_no_table_of_centroids_is_refused(tmp_path, positions):
+    points = centroids(positions)
+    for columns, shown, told in (
+        (("x", "y", "z"), 10 * points, "centroids lie 62 to 62 from their axis, cells 4 to 8; give sizes"),
+        (("x", "y", "z"), points[:5], "there are 5 centroids"),
+        (("x (um)", "y (um)", "z (px)"), points, "units"),
+        (("x", "y", "depth"), points, "no column 'axial'"),
+    ):
+        with pytest.raises(ValueError, match=told) as refusal:
+            read_backbones(write(tmp_path / "cells.csv", columns, shown), TUBE)
+        assert str(refusal.value).startswith(str(tmp_path)) and "\n" not in str(refusal.value)
+    with pytest.raises(ValueError, match="--degrees is for angles"):
+        read_backbones(write(tmp_path / "cells.csv", ("x", "y", "z"), points), TUBE, degrees=True)
