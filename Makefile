@@ -2,10 +2,11 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+QUICK := JAX_DISABLE_MOST_OPTIMIZATIONS=1 XLA_FLAGS=--xla_cpu_use_fusion_emitters=false
 LOWEST := import tomllib; needs = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
     print(*(need.replace(">=", "==") for need in needs), sep="\n")
 
-.PHONY: setup demo test notebooks lint smoke smoke-pinned smoke-newest smoke-lowest clean
+.PHONY: setup demo test notebooks docs lint smoke smoke-pinned smoke-newest smoke-lowest clean
 
 setup: $(STAMP)
 
@@ -25,7 +26,11 @@ test: setup
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 notebooks: setup
-	$(BIN)/python -m pytest --nbmake notebooks
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(QUICK) $(BIN)/python -m pytest --nbmake notebooks
+
+docs: setup
+	$(BIN)/python -m sphinx -q -W --keep-going -c docs -d build/doctrees . build/site
+	@echo "the site is build/site/index.html"
 
 lint: setup
 	$(BIN)/ruff check
