@@ -68,4 +68,5 @@ figure
 # states, info = sweep(jax.random.split(jax.random.key(0), 16), states, jnp.geomspace(1, 1000, 16))
 # ```
 #
-# On clusters `jaxtissue grid --slurm` shares out the rows: see the page on grids of tissues.
+# `jt.temper` makes replicas at several temperatures that exchange their tissues. On clusters `jaxtissue grid --slurm`
+# shares out the rows: see the page on grids of tissues.
