@@ -23,9 +23,9 @@ BentTube Ellipsoid EllipticTube Fold RoundTube Shell Slab Sphere PRESETS Adhesio
 CellMeasurer Connectivity Contacts ExactDiagram LabelCells Model NeighborList Resolution SweepRecord TissueFit Tube
 anneal bound_ratios cartesian_voxels cells_for_unit_volume constant_schedule covering_radius cylindrical_voxels
 epithelial_energy exact_cells find_connectivity find_contacts find_transitions fit_neighbor_law fit_tissue
-geometric_schedule init label_image label_points label_volumes lateral_tension load_domain measure_labels
-measure_tissue nearest_backbones polygon_classes relax separation step summarize_connectivity tabulate_connectivity
-temper tightness tissue_energy tissue_graph tube_model use_cores volume_elasticity
+geometric_schedule infer_parameters init label_image label_points label_volumes lateral_tension load_domain
+measure_labels measure_tissue nearest_backbones polygon_classes relax separation step summarize_connectivity
+tabulate_connectivity temper tightness tissue_energy tissue_graph tube_model use_cores volume_elasticity
 """
 
 

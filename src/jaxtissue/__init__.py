@@ -35,6 +35,7 @@ from jaxtissue.images.tissue_fit import TissueFit, fit_tissue
 from jaxtissue.measurement.adhesion import Adhesion
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import PRESETS, Resolution
+from jaxtissue.minimization.inference import infer_parameters
 from jaxtissue.minimization.relaxation import relax
 from jaxtissue.minimization.tissue_energy import tissue_energy
 from jaxtissue.neighbors.neighbor_list import NeighborList
@@ -94,6 +95,7 @@ __all__ = [
     "fit_neighbor_law",
     "fit_tissue",
     "geometric_schedule",
+    "infer_parameters",
     "init",
     "label_image",
     "label_points",
