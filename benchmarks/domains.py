@@ -16,9 +16,10 @@ from scipy.spatial import SphericalVoronoi
 
 import jaxtissue as jt
 from jaxtissue.geometry.domain_positions import as_domain_positions
-from jaxtissue.sections.cells import SECTIONS, cell_sections, cell_sizes, plan_layers
+from jaxtissue.measurement.quadrature import SECTIONS
+from jaxtissue.neighbors.section_lists import find_sections
+from jaxtissue.sections.cells import RULE, cell_sections, cell_sizes, plan_layers
 from jaxtissue.sections.crowd import as_array
-from jaxtissue.tissue.domain_tissue import RULE, find_sections
 
 KEPT = 20  # candidates of a cell in lists that are kept
 
@@ -91,8 +92,8 @@ def main() -> None:
     path = common.output(__doc__ or "", "domains")
     results = {}
     for name, (domain, positions, volume, area) in cases().items():
-        for preset, resolution in SECTIONS.items():
-            results[f"{name} {preset}"] = row = measured(domain, positions, resolution.layers, volume, area)
+        for preset, layers in SECTIONS.items():
+            results[f"{name} {preset}"] = row = measured(domain, positions, layers, volume, area)
             print(name, preset, {key: float(f"{value:.3g}") for key, value in row.items()}, flush=True)
     common.write(path, results)
 

@@ -15,9 +15,9 @@ import jaxtissue as jt
 from jaxtissue.cli.commands import main
 from jaxtissue.geometry.domain_files import save_domain
 from jaxtissue.geometry.domain_positions import as_domain_positions
+from jaxtissue.neighbors.section_lists import find_sections
 from jaxtissue.runs import storage
-from jaxtissue.sections.cells import cell_sections, plan_layers
-from jaxtissue.tissue.domain_tissue import RULE, find_sections
+from jaxtissue.sections.cells import plan_layers
 
 pytestmark = pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
 PI = math.pi
@@ -238,20 +238,23 @@ def test_few_cells_on_a_sphere_are_doubted():
     assert float(cells.tiling_defect) > 0.1 and (cells.volume_error >= cells.volume).all()
 
 
-def test_sizes_are_differentiable(x64):
-    """The gradient is that of central differences, to their error."""
-    slab = jt.Slab(4.0, 3.0, 1.0)
-    place = slab.random_positions(jax.random.key(4), 8)
-    lists = jnp.asarray(np.array([[j if j != i else -1 for j in range(8)] for i in range(8)]).T)
-    heights = jnp.array([0.25, 0.75])
-
-    def volumes(place):
-        return cell_sections(slab, place, lists, heights, RULE).volume.mean(axis=0)
-
-    def energy(place):
-        return (volumes(place) ** 2).sum()
-
-    step, way = 1e-4, jnp.zeros_like(place).at[5, 0].set(1)
-    both = jax.jit(lambda place: jax.jvp(energy, (place,), (way,)))
-    moved = [both(place + sign * step * way)[0] for sign in (1, -1)]
-    assert float(both(place)[1]) == pytest.approx(float(moved[0] - moved[1]) / (2 * step), rel=1e-5)
+def test_the_energy_is_that_of_the_cells_and_differentiable(x64):
+    """The gradient is that of central differences, to their error; the slab's sizes have derivatives too."""
+    slab, n = jt.Slab(4.0, 3.0, 1.0, periodic=(True, False)), 24
+    place = np.asarray(slab.random_positions(jax.random.key(4), n))
+    model = jt.tube_model(slab, n, tension=0.4)
+    neighbors = jt.NeighborList.allocate(place, slab)
+    assert neighbors.covers(place) and neighbors.update(place) is neighbors
+    both = jax.jit(jax.value_and_grad(lambda place, model: jt.tissue_energy(place, model, neighbors, "draft"), (0, 1)))
+    energy, (by_place, by_model) = both(place, model)
+    sizes = find_sections(slab, place, plan_layers(2, check=False)).sizes
+    cells = jt.CellGeometry(sizes.volume[0], sizes.lateral_area[0])
+    assert float(energy) == pytest.approx(float(jt.epithelial_energy(cells, model).sum()), rel=1e-9)
+    step, way = 1e-4, np.zeros_like(place)
+    way[5] = 0.6, 0.8
+    apart = [float(both(place + sign * step * way, model)[0]) for sign in (1, -1)]
+    assert (by_place * way).sum() == pytest.approx((apart[0] - apart[1]) / (2 * step), rel=1e-5)
+    assert float(by_model.tension) == pytest.approx(float(cells.lateral_area.sum()), rel=1e-9)
+    assert not neighbors.covers(np.roll(place, 1, axis=0))
+    with pytest.raises(TypeError, match=r"use NeighborList\.allocate"):
+        jt.tissue_energy(place, model, jt.NeighborList.allocate([[1, 1], [2, 2]], jt.Tube(4, 1, 2)))

@@ -20,8 +20,8 @@ from jaxtissue.dynamics.replays import EXACT, SPAN, Segment, energies_together, 
 from jaxtissue.dynamics.spans import Trail
 from jaxtissue.dynamics.surface_moves import longest_move
 from jaxtissue.energy import Model
-from jaxtissue.measurement.quadrature import Resolution
-from jaxtissue.sections.cells import MANY_SLOTS, RULE, Layers, plan_layers, section_layers
+from jaxtissue.measurement.quadrature import Resolution, section_layers
+from jaxtissue.sections.cells import MANY_SLOTS, RULE, Layers, plan_layers
 
 Plan = Sequence[Int[np.ndarray, "rounds width"]]
 

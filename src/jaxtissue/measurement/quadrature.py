@@ -41,6 +41,7 @@ INSET = 0.37  # about (sqrt(3) - 1) / 2, of the best rules for natural splines
 # Cut from the frontier of error against time: on every reference tube `draft` errs by at most V 0.5 %, A 3 %,
 # `standard` by V 0.07 %, A 1 %, `fine` by V 0.05 %, A 0.5 %. These are the bars of the races.
 PRESETS = {"draft": Resolution(4, 4), "standard": Resolution(7, 8), "fine": Resolution(10, 10)}
+SECTIONS = {"draft": 2, "standard": 4, "fine": 8}  # layers on other domains, cut likewise (benchmarks/domains.py)
 
 
 def as_resolution(given: str | Resolution | tuple[int, float]) -> Resolution:
@@ -133,6 +134,13 @@ class Lines(eqx.Module):
 
     def _circle(self, dtype: DTypeLike) -> Float[Array, "lines"]:
         return jnp.asarray(self.circle, dtype)[jnp.asarray(self.layer)]
+
+
+def section_layers(resolution: Resolution | str) -> int:
+    """The number of layers on which cells of domains other than tubes are measured; lines mean nothing there."""
+    if isinstance(resolution, str) and resolution in SECTIONS:
+        return SECTIONS[resolution]
+    return as_resolution(resolution).layers
 
 
 def plan_lines(

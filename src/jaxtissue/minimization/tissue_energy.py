@@ -1,40 +1,50 @@
 """The energy of a whole tissue as a differentiable function."""
 
+from typing import Any
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.energy import Model, cell_energies
-from jaxtissue.geometry.positions import require_tube
-from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines, trace_lines
+from jaxtissue.geometry.domains import Domain
+from jaxtissue.measurement.cell_geometry import CellGeometry
+from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines, section_layers, trace_lines
 from jaxtissue.measurement.smooth_sizes import find_windows, smooth_sizes
-from jaxtissue.neighbors.neighbor_list import NeighborList
+from jaxtissue.neighbors.section_neighbors import SectionNeighbors
+from jaxtissue.sections.cells import RULE, Layers, cell_sections, cell_sizes, plan_layers
+from jaxtissue.sections.half_planes import take
 
 
 @usual_modes()
 def tissue_energy(
-    positions: Float[Array, "n 2"], model: Model, neighbors: NeighborList, resolution: Resolution | str = "standard"
+    positions: Float[Array, "n d"], model: Model, neighbors: Any, resolution: Resolution | str = "standard"
 ) -> Float[Array, ""]:
     """The energy of a tissue, E = sum of E_i (paper, section 3.1), as a pure function that JAX can differentiate.
 
-    `jax.grad`, `jax.jvp`, `jax.jit` and `jax.vmap` accept it, for positions, for the sizes of the tube and for all
+    `jax.grad`, `jax.jvp`, `jax.jit` and `jax.vmap` accept it, for positions, for the sizes of the domain and for all
     other leaves of the model. The derivative is that of the energy as measured at this resolution. Volumes have the
     derivatives of true volumes; the derivative of a single lateral area is noisier, as edges cross the layers on which
     cells are measured.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2]; floats.
+        positions: The positions of the backbones, [n, d], floats: (axial, angle) on a tube.
         model: The energy; see `tube_model`.
-        neighbors: Neighbor lists that hold for these positions; see `NeighborList.covers`.
+        neighbors: Neighbor lists that hold for these positions, as `NeighborList.allocate` gives them.
         resolution: How finely cells are measured: a preset or layers and lines.
 
     Returns:
-        The energy, one number; not a number where cells reach so far round the tube that there is no room for them.
+        The energy, one number; not a number where cells reach so far round the tissue that there is no room for them.
+
+    Raises:
+        TypeError: If the lists are not for a domain of this kind.
 
     >>> from jaxtissue.energy import tube_model
     >>> from jaxtissue.geometry.tube import Tube
+    >>> from jaxtissue.neighbors.neighbor_list import NeighborList
     >>> tube = Tube(length=12.0, apical_radius=1.0, basal_radius=3.0)
     >>> positions = tube.random_positions(jax.random.key(0), 40)
     >>> neighbors = NeighborList.allocate(positions, tube)
@@ -42,7 +52,12 @@ def tissue_energy(
     >>> slope(positions, tube_model(tube, 40), neighbors, resolution="draft").shape
     (40, 2)
     """
-    require_tube(model.domain)
+    if isinstance(model.domain, Domain) != isinstance(neighbors, SectionNeighbors):
+        kinds = type(neighbors).__name__, type(model.domain).__name__
+        raise TypeError("neighbors are a {} for a {}; use NeighborList.allocate(positions, domain)".format(*kinds))
+    if isinstance(model.domain, Domain):
+        layers = plan_layers(section_layers(resolution), check=False)
+        return energy_on_sections(positions, model, layers, neighbors)
     tube, resolution = model.tube, as_resolution(resolution)
     is_traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tube))
     plan = trace_lines if is_traced else plan_lines
@@ -57,3 +72,21 @@ def energy_on_lines(
     windows = find_windows(positions, model.tube, lines, candidates)
     cells = smooth_sizes(positions, model.tube, lines, windows, model.adhesion)
     return cell_energies(cells, model).sum()
+
+
+def energy_on_sections(
+    positions: Float[Array, "n d"], model: Model, layers: Layers, neighbors: SectionNeighbors
+) -> Float[Array, ""]:
+    """The same on given layers of any domain."""
+    domain, lists = model.domain, jnp.asarray(neighbors.candidates).T
+    assert isinstance(domain, Domain)
+    heights = jnp.asarray(layers.heights, positions.dtype)
+    rule = RULE._replace(slots=neighbors.slots)
+    sections = cell_sections(domain, positions, lists, heights, rule)
+    if model.adhesion is not None:
+        worth = model.adhesion.between(jnp.arange(lists.shape[1]), lists % lists.shape[1])[:, None]
+        sections = sections._replace(wall=sections.wall * take(worth, jnp.minimum(sections.line, len(lists) - 1)))
+    sizes = cell_sizes(domain, sections, layers, len(lists))
+    surfaces = [*sizes.areas, *sizes.perimeters] if model.has_surfaces else []
+    cells = CellGeometry(sizes.volume[0], sizes.lateral_area[0], *surfaces)
+    return jnp.where(sizes.is_cut.any(), jnp.nan, cell_energies(cells, model).sum())

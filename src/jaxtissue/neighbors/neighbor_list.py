@@ -10,9 +10,11 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.neighbors.search import TILES, check_angles, check_lists, complete_lists, find_check
+from jaxtissue.neighbors.section_neighbors import SectionNeighbors
 
 
 class NeighborList(eqx.Module):
@@ -48,14 +50,16 @@ class NeighborList(eqx.Module):
 
     @staticmethod
     @usual_modes()
-    def allocate(positions: Any, domain: Tube, margin: float = 0.0) -> "NeighborList":
+    def allocate(positions: Any, domain: Any, margin: float = 0.0) -> Any:
         """The complete list of a tissue: as many nearest backbones as it takes for the cells to tile every line.
+
+        On domains other than a `Tube` lists are of another kind, `SectionNeighbors`, with the same methods.
 
         Args:
             positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-            domain: The tube that they stand in.
-            margin: Backbones within this distance along the axis, a length, are listed both behind and ahead, so that
-                the list holds while a backbone passes another.
+            domain: The tube or other domain that they stand in.
+            margin: Backbones within this distance along a tube's axis, a length, are listed both behind and ahead, so
+                that the list holds while a backbone passes another. Other domains need none.
 
         Returns:
             The list, with its defect.
@@ -63,6 +67,8 @@ class NeighborList(eqx.Module):
         Raises:
             ValueError: If `as_positions` refuses the positions.
         """
+        if isinstance(domain, Domain):
+            return SectionNeighbors.allocate(positions, domain)
         return list_neighbors(as_positions(positions, domain), domain, margin)
 
     @usual_modes()

@@ -11,15 +11,12 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxtissue.compilation.fusion import take_rows
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.vectors import Vector, components
-from jaxtissue.measurement.quadrature import Resolution, as_resolution
 from jaxtissue.sections.crowd import gather_crowd
 from jaxtissue.sections.polygons import Rule, Sections, measure_sections
 from jaxtissue.sections.views import look
 
 RULE = Rule(slots=14, passes=3, steps=1, rays=2)
 MANY_SLOTS = 31  # as many edges as five bits can number
-# Cut from the measured frontier of error against time (benchmarks/domains.py)
-SECTIONS = {"draft": Resolution(2, 4), "standard": Resolution(4, 8), "fine": Resolution(8, 10)}
 
 
 class Layers(eqx.Module):
@@ -126,13 +123,6 @@ def _any_limit(limit: Array, is_edge: Array, which: np.ndarray) -> Array:
     for k in np.flatnonzero(which).tolist():
         reached |= (is_edge & (limit == k)).any(axis=(0, 1))
     return reached
-
-
-def section_layers(resolution: Resolution | str) -> int:
-    """The number of layers of the finer of both rules; the lines of a resolution mean nothing to sections."""
-    return (
-        SECTIONS[resolution] if isinstance(resolution, str) and resolution in SECTIONS else as_resolution(resolution)
-    ).layers
 
 
 def corner_points(sections: Sections) -> tuple[Vector, Array]:

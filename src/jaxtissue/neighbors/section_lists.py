@@ -1,0 +1,75 @@
+"""Complete lists for sections: they grow until no corner of a cell is nearer to a backbone that is not listed."""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+
+from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.vectors import components
+from jaxtissue.sections.cells import MANY_SLOTS, RULE, CellSizes, Layers, cell_sections, cell_sizes, corner_points
+from jaxtissue.sections.crowd import Crowd, as_array, extended, first_lists, gather_crowd, missing
+from jaxtissue.sections.polygons import Rule, Sections
+
+ROUNDS = 8  # of looking for missing neighbors
+
+
+class Measured(NamedTuple):
+    """Cells as measured on complete lists."""
+
+    positions: np.ndarray
+    lists: Int[np.ndarray, "q n"]
+    layers: Layers
+    sections: Sections
+    sizes: CellSizes
+    unproved: int  # corners of which no one knows whether a neighbor is missing
+    rule: Rule  # with slots for all edges
+
+
+@functools.partial(jax.jit, static_argnames="rule")
+def _measure(
+    domain: Domain, positions: Array | np.ndarray, lists: Array, layers: Layers, rule: Rule
+) -> tuple[Sections, CellSizes, tuple[Array, Array]]:
+    sections = cell_sections(domain, jnp.asarray(positions), lists, jnp.asarray(layers.heights), rule)
+    points, is_point = corner_points(sections)
+    return sections, cell_sizes(domain, sections, layers, lists.shape[0]), (jnp.stack(points, axis=-1), is_point)
+
+
+@jax.jit
+def _crowd(domain: Domain, positions: Array) -> Any:
+    return gather_crowd(domain, components(positions)).segments
+
+
+def find_sections(domain: Domain, positions: np.ndarray, layers: Layers, rule: Rule = RULE) -> Measured:
+    """Measure sections on lists that grow until no corner of a cell is nearer to a backbone that is not listed."""
+    lists, rounds = first_lists(Crowd(_crowd(domain, positions), len(positions))), 0
+    while True:
+        rounds += 1
+        found, pairs = look_through(domain, positions, lists, layers, rule)
+        rule = found.rule
+        if not len(pairs):
+            return found
+        if rounds == ROUNDS:
+            return found._replace(unproved=found.unproved + len(pairs))
+        lists = extended(lists, pairs)
+
+
+def look_through(
+    domain: Domain, positions: np.ndarray, lists: Int[np.ndarray, "q n"], layers: Layers, rule: Rule
+) -> tuple[Measured, Int[np.ndarray, "m 2"]]:
+    """Measure sections on lists as they are, and the pairs of a cell and a backbone that its list lacks."""
+    n = len(positions)
+    layers = jax.tree.map(jnp.asarray, layers)
+    sections, sizes, (points, is_point) = _measure(domain, positions, as_array(lists), layers, rule)
+    if (np.asarray(sections.spare) > 0).any() and rule.slots < MANY_SLOTS:
+        return look_through(domain, positions, lists, layers, rule._replace(slots=MANY_SLOTS))
+    count = layers.heights.shape[0]
+    shown = sorted({0, count // 3, count - 2, count - 1})
+    is_point = np.asarray(is_point)[:, :, shown]
+    cells = np.broadcast_to(np.arange(n), is_point.shape)[is_point]
+    crowd = Crowd(_crowd(domain, positions), n)
+    pairs, unproved = missing(crowd, lists, np.asarray(points, float)[:, :, shown][is_point], cells)
+    return Measured(positions, lists, layers, sections, sizes, unproved, rule), pairs
