@@ -14,7 +14,7 @@ import pytest
 from hypothesis import settings
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from matplotlib.figure import Figure
-from quick import ASKED, SHORT_LOOPS, quick_settings
+from quick import ASKED, SHORT_LOOPS, quick_settings, turn_off_emitters, usual_settings
 
 from jaxtissue.compilation.batching import PROGRAMS
 from jaxtissue.geometry.tube import Tube
@@ -25,6 +25,7 @@ from jaxtissue.tissue import measurer, refinement
 DATA = Path(__file__).parent / "data"
 REFERENCES = sorted(path.stem for path in DATA.glob("*.npz"))
 
+turn_off_emitters()
 gc.set_threshold(20_000, 20, 50)  # tracing makes many objects: to look through them takes a tenth of all time
 
 settings.register_profile("jaxtissue", deadline=None, derandomize=True, database=None, max_examples=30)
@@ -47,6 +48,15 @@ def keep_compiled(tmp_path_factory, worker_id):
             patch.setenv(name.upper(), str(value))
             jax.config.update(name, value)
         reset_cache()
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compile_as_users_do():
+    """What is compiled with options is compiled as users do, where no fixture below asks for less."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name, value in usual_settings():
+            patch.setattr(module, name, value)
         yield
 
 

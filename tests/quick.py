@@ -3,6 +3,7 @@
 import os
 import sys
 import time
+from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -21,6 +22,8 @@ ASKED = "JAXTISSUE_TESTS_COMPILE"  # the variable by which processes are told ho
 LEVEL = "xla_backend_optimization_level"
 # compiled in half of the time; a sweep takes a fifth longer, and replicas get other bits than alone
 QUICK: Options = {"xla_cpu_use_fusion_emitters": False}
+USUAL: Options = {"xla_cpu_use_fusion_emitters": True}
+COMPILING = (fusion, search, measurer, batching, refinement)  # the modules that compile with options
 # candidates compared in loops that are unrolled less: two thirds of the time to compile
 SHORT_LOOPS = [(walls, "CHUNK", 4), (walls, "UNROLLED", 0), (half_planes, "CHUNK", 4)]
 # named as the installed command, by which it knows that signals are for it to answer
@@ -31,6 +34,25 @@ sys.path.insert(0, {str(Path(__file__).parent)!r})
 import quick
 quick.run()
 """
+
+
+def turn_off_emitters() -> None:
+    """Compile what has no options of its own in two thirds of the time; to be called before JAX starts.
+
+    JAX does not start where its compiler does not know a flag, and this one is gone since 0.11.1.
+    """
+    if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 11):
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
+
+
+def usual_settings() -> list[tuple[ModuleType, str, Any]]:
+    """What is to stand in each module that compiles, so that it does as without `turn_off_emitters`."""
+    usual = fusion.options
+
+    def as_users_do(light: bool = False) -> Options:
+        return {name: value for name, value in USUAL.items() if is_option(name, value)} | usual(light)
+
+    return [(module, "options", as_users_do) for module in COMPILING]
 
 
 def quick_settings(replicas_as_alone: bool) -> list[tuple[ModuleType, str, Any]]:
@@ -44,8 +66,7 @@ def quick_settings(replicas_as_alone: bool) -> list[tuple[ModuleType, str, Any]]
         found = {name: value for name, value in usual(light).items() if name != LEVEL}
         return found | {name: value for name, value in QUICK.items() if is_option(name, value)}
 
-    modules = {fusion, search, measurer, batching, refinement}
-    some = modules - {batching} if replicas_as_alone else modules
+    some = set(COMPILING) - {batching} if replicas_as_alone else COMPILING
     return [*((module, "options", quick) for module in some), *SHORT_LOOPS]
 
 
