@@ -68,7 +68,7 @@ def test_a_closed_surface_is_seen_from_two_sides():
     """On a sphere of two cells, one on either side, each view shows its own."""
     axes = plot_surfaces(CYST, [Tissue("", np.array([[0, 0, 1.0], [0, 0, -1.0]]), np.array([1.0, 3.0]))])[1]
     assert [panel.get_title() for panel in axes[0]] == [
-        "basal surface, from above (along z)", "basal surface, from below (along z)"
+        "basal surface, from above", "basal surface, from below"
     ]  # fmt: skip
     above, below = (panel.images[0].get_array()[24, 24] for panel in axes[0])
     assert above[2] > above[0] and below[0] > below[2]  # small and blue, large and red

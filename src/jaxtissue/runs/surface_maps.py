@@ -90,7 +90,7 @@ def _seen(place: Float[np.ndarray, "n 3"], domain: Domain, surface: str, count: 
     rim = _embedded(domain, surface, np.array([[-1.0, 0, 0], [1, 0, 0], [0, -sign, 0], [0, sign, 0]]))
     extent = (*rim[:2, 0].tolist(), *rim[2:, 1].tolist())
     ends = _embedded(domain, surface, place[sign * place[:, 2] > 0])[:, :2]
-    view = f"from {'above' if above else 'below'} (along z)"
+    view = f"from {'above' if above else 'below'}"
     return SurfaceMap(view, np.where(inside, labels, -1), extent, ends, (False, False), False)
 
 

@@ -14,7 +14,7 @@ from jaxtissue.sections.views import Segments
 
 NEAREST = 16  # on each of three layers
 SAMPLES = 9  # points of a backbone that are searched
-FOUND = 10  # of these that are looked at round a corner
+FOUND = 10, 160  # of these that are looked at round a corner, first, and where so few are not enough
 ROUNDING = 1e-4  # of its distance, by which a corner may be nearer to a candidate that is not listed
 ROUND_UP = 8  # lists have multiples of so many candidates, so that fewer programs are compiled
 
@@ -71,18 +71,20 @@ def missing(
     start, along = (np.stack([np.asarray(part, float) for part in vector], axis=1) for vector in crowd.segments)
     share = np.linspace(0, 1, SAMPLES)
     tree = KDTree((start[:, None] + share[:, None] * along[:, None]).reshape(-1, 3))
-    count = min(FOUND, tree.n)
-    near, found = tree.query(points, count)
-    owner = found.reshape(len(points), count) // SAMPLES
-    own = _distance(start[cells], along[cells], points)
-    others = _distance(start[owner], along[owner], points[:, None])
-    listed = (lists.T[cells][:, None] == owner[..., None]).any(axis=-1) | (owner == cells[:, None])
-    lacks = ~listed & (others < (1 - ROUNDING) * own[:, None])
-    row, column = np.nonzero(lacks)
-    pairs = np.unique(np.stack([cells[row], owner[row, column]], axis=1), axis=0)
     half = 0.5 * np.linalg.norm(along, axis=1).max() / (SAMPLES - 1)
-    unseen = np.sqrt(np.maximum(near.reshape(len(points), count)[:, -1] ** 2 - half**2, 0))
-    return pairs, int(((unseen < (1 - ROUNDING) * own) & ~lacks.any(axis=1)).sum()) if tree.n > count else 0
+    pairs, left = [np.zeros((0, 2), int)], np.arange(len(points))
+    for count in (min(count, tree.n) for count in FOUND):
+        near, found = (part.reshape(len(left), count) for part in tree.query(points[left], count))
+        owner, cell = found // SAMPLES, cells[left]
+        own = (1 - ROUNDING) * _distance(start[cell], along[cell], points[left])
+        others = _distance(start[owner], along[owner], points[left, None])
+        listed = (lists.T[cell][:, None] == owner[..., None]).any(axis=-1) | (owner == cell[:, None])
+        lacks = ~listed & (others < own[:, None])
+        row, column = np.nonzero(lacks)
+        pairs.append(np.stack([cell[row], owner[row, column]], axis=1))
+        unseen = np.sqrt(np.maximum(near[:, -1] ** 2 - half**2, 0))
+        left = left[(unseen < own) & ~lacks.any(axis=1) & (count < tree.n)]
+    return np.unique(np.concatenate(pairs), axis=0), len(left)
 
 
 def extended(lists: Int[np.ndarray, "q n"], pairs: Int[np.ndarray, "m 2"]) -> Int[np.ndarray, "q n"]:

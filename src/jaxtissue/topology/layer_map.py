@@ -40,15 +40,20 @@ def _names(base: Base, lists: Int[np.ndarray, "n q"], found: Polygons) -> Int[np
 
 def first_map(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], height: float) -> Junctions:
     """The junctions of a layer, near to where they are. Raises `ValueError` where the sections make up no surface."""
+    refusal = f"the sections of the cells do not make up a surface at height {height:g}; {ROUND}"
     for passes in PASSES:
         found, lists = complete_polygons(gaps, positions, height, passes)
-        names = _names(gaps.base, lists, found)
+        try:
+            names = _names(gaps.base, lists, found)
+        except ValueError as error:  # after other passes it may be a cell like others
+            refusal = str(error)
+            continue
         for shortest in SHORTEST:
             junctions = _walk(gaps.base, found, names, shortest * gaps.width)
             if junctions is not None:
                 junctions.at[:], junctions.since[:] = height, height
                 return junctions
-    raise ValueError(f"the sections of the cells do not make up a surface at height {height:g}; {ROUND}")
+    raise ValueError(refusal)
 
 
 class _Ways(NamedTuple):

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from jaxtissue.compilation.modes import double_precision
 from jaxtissue.topology.layer_gaps import LayerGaps
 
-ROUNDS, NEAREST, LOOKED_AT, SAMPLES, ROUNDING = 8, 17, 10, 9, 1e-6
+ROUNDS, NEAREST, LOOKED_AT, SAMPLES, ROUNDING = 12, 17, 40, 9, 1e-6
 FAR, PARALLEL = 1e6, 1e-9  # in mean widths; the sine of an angle
 
 
@@ -95,8 +95,9 @@ def _polygons(
     basis = np.linalg.inv(np.swapaxes(np.linalg.cholesky(np.swapaxes(across, 1, 2) @ across), 1, 2))
     limits = _limits(gaps, positions, basis)
     start, along = (part.reshape(-1, 3)[lists] for part in (gaps.start, gaps.along))
-    away = _offset(start, along, flat.point[:, None])
-    z = -0.5 * np.einsum("nqi,nij->nqj", away, across @ basis)
+    # along the layer, also where a straight way would lead through the lumen
+    z = np.einsum("nqi,nji->nqj", _half_ways(gaps, positions, lists), np.linalg.inv(basis))
+    before = None
     while True:
         spots = gaps.look(np.repeat(positions, q, axis=0), (z @ np.swapaxes(basis, 1, 2)).reshape(-1, 2),
                           np.full(n * q, height))  # fmt: skip
@@ -108,7 +109,12 @@ def _polygons(
         steep = np.maximum(np.linalg.norm(slope, axis=-1), 1e-300)
         normal = -slope / steep[..., None]
         offset = ((apart * (theirs + mine)).sum(axis=-1)) / steep + (normal * z).sum(axis=-1)
-        there = (lists >= 0) & (steep > 1e-9 * np.linalg.norm(apart, axis=-1))
+        # a line that leaves out the backbone itself was taken too far from its wall
+        there = (lists >= 0) & (steep > 1e-9 * np.linalg.norm(apart, axis=-1)) & (offset > 0)
+        if before is not None:
+            normal, offset = np.where(there[..., None], normal, before[0]), np.where(there, offset, before[1])
+            there |= before[2]
+        before = normal, offset, there
         normal = np.where(there[..., None], normal, [1.0, 0.0])
         lines = _Lines(np.concatenate([normal, limits.normal], axis=1),
                        np.concatenate([np.where(there, offset, FAR * gaps.width), limits.offset], axis=1))  # fmt: skip
@@ -124,6 +130,19 @@ def _polygons(
     turn = np.arctan2(lines.normal[..., 1], lines.normal[..., 0])
     return Polygons(is_edge, turn, np.where(is_edge, high - low, 0), corner.place.reshape(n, q + 4, -1),
                     corner.point.reshape(n, q + 4, 3))  # fmt: skip
+
+
+def _half_ways(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], lists: Int[np.ndarray, "n q"]) -> np.ndarray:
+    """The local coordinates halfway to each cell's candidates, [n, q, 2]."""
+    n, q = lists.shape
+    copy, other = np.divmod(np.maximum(lists, 0), n)
+    here = np.repeat(positions, q, axis=0)
+    way = gaps.look(here, np.zeros((n * q, 2)), np.zeros(n * q), positions[other.ravel()]).way.reshape(n, q, 2)
+    if gaps.extent is None:  # the tangent of half of the angle
+        return way / (1 + np.sqrt(1 + (way**2).sum(axis=-1, keepdims=True)))
+    is_closed = np.asarray(gaps.base.is_seam()[:2])
+    plain = positions[other] + (gaps.base.images() * gaps.extent)[copy] - positions[:, None]
+    return np.where(is_closed, way, plain) / 2
 
 
 def _limits(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], basis: Float[np.ndarray, "n 2 2"]) -> _Lines:
