@@ -1,7 +1,9 @@
 """The public fence: names, manners of results, one call to anneal, one sweep as a pure function."""
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -44,6 +46,10 @@ def test_public_names_are_frozen():
     assert dir(jt) == sorted([*jt.__all__, "__version__"])
     assert not any(isinstance(getattr(jt, name), type(sys)) for name in dir(jt))
     assert jt.__version__.count(".") == 2
+    described = set(
+        re.findall(r"^\.\. \S+:: (\w+)$", (Path(__file__).parents[1] / "docs" / "api.md").read_text(), re.M)
+    )
+    assert described >= set(jt.__all__), "add to docs/api.md"
 
 
 def test_one_call_anneals_as_the_annealer_does(positions, result):
