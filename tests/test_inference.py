@@ -84,10 +84,10 @@ def test_parameters_are_found_at_a_minimum(tissue, infer):
 
 def test_errors_hold_what_noise_does(tissue, infer):
     place, rng = tissue.minimum(np.zeros(CELLS)), np.random.default_rng(1)
-    founds = [infer(place + rng.normal(0, 0.003, place.shape)) for _ in range(30)]
+    founds = [infer(place + rng.normal(0, 0.003, place.shape)) for _ in range(20)]
     off = np.array([found.tension - TENSION for found in founds])
     error = np.array([found.tension_error for found in founds])
-    assert (np.abs(off) < 2 * error).sum() >= 25  # 92 % of 60 as measured; the bar is 90 %
+    assert (np.abs(off) < 2 * error).sum() >= 17  # 92 % of 60 as measured; the bar is 90 %
     assert error.mean() < 3 * off.std()  # and no wider than they must be
     assert np.mean([found.noise for found in founds]) == pytest.approx(0.003, rel=0.5)  # rough
 
