@@ -79,7 +79,7 @@ def command(*arguments: object) -> list[str | bytes]:
 def compile_as_asked() -> None:
     """Compile as the test does that started this process."""
     if asked := os.environ.get(ASKED):
-        for module, name, value in quick_settings(asked == "replicas as alone"):
+        for module, name, value in (*usual_settings(), *quick_settings(asked == "replicas as alone")):
             setattr(module, name, value)
 
 
