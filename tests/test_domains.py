@@ -238,7 +238,7 @@ def test_few_cells_on_a_sphere_are_doubted():
     assert float(cells.tiling_defect) > 0.1 and (cells.volume_error >= cells.volume).all()
 
 
-def test_the_energy_is_that_of_the_cells_and_differentiable(x64):
+def test_the_energy_is_that_of_the_cells_and_differentiable(x64, monkeypatch):
     """The gradient is that of central differences, to their error; the slab's sizes have derivatives too."""
     slab, n = jt.Slab(4.0, 3.0, 1.0, periodic=(True, False)), 24
     place = np.asarray(slab.random_positions(jax.random.key(4), n))
@@ -256,5 +256,9 @@ def test_the_energy_is_that_of_the_cells_and_differentiable(x64):
     assert (by_place * way).sum() == pytest.approx((apart[0] - apart[1]) / (2 * step), rel=1e-5)
     assert float(by_model.tension) == pytest.approx(float(cells.lateral_area.sum()), rel=1e-9)
     assert not neighbors.covers(np.roll(place, 1, axis=0))
+    unsure = find_sections(slab, place, plan_layers(2, check=False))._replace(unproved=3)
+    monkeypatch.setattr("jaxtissue.neighbors.section_neighbors.find_sections", lambda *_: unsure)
+    with pytest.warns(UserWarning, match="missing at 3 corners"):
+        jt.NeighborList.allocate(place, slab)
     with pytest.raises(TypeError, match=r"use NeighborList\.allocate"):
         jt.tissue_energy(place, model, jt.NeighborList.allocate([[1, 1], [2, 2]], jt.Tube(4, 1, 2)))

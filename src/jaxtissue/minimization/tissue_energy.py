@@ -53,8 +53,8 @@ def tissue_energy(
     (40, 2)
     """
     if isinstance(model.domain, Domain) != isinstance(neighbors, SectionNeighbors):
-        kinds = type(neighbors).__name__, type(model.domain).__name__
-        raise TypeError("neighbors are a {} for a {}; use NeighborList.allocate(positions, domain)".format(*kinds))
+        given, kind = type(neighbors).__name__, type(model.domain).__name__
+        raise TypeError(f"neighbors are a {given} for a {kind}; use NeighborList.allocate(positions, domain)")
     if isinstance(model.domain, Domain):
         layers = plan_layers(section_layers(resolution), check=False)
         return energy_on_sections(positions, model, layers, neighbors)

@@ -1,5 +1,6 @@
 """Neighbor lists on any domain but a tube: the backbones that can bound a cell's sections."""
 
+import warnings
 from typing import Any
 
 import equinox as eqx
@@ -52,12 +53,15 @@ class SectionNeighbors(eqx.Module):
             domain: The domain that they stand in.
 
         Returns:
-            The list.
+            The list. A warning tells where a neighbor may be missing from it.
 
         Raises:
             ValueError: If positions are refused: not finite, outside the domain, or two of them one.
         """
         found = find_sections(domain, as_domain_positions(positions, domain), LAYERS)
+        if found.unproved:
+            told = f"a neighbor may be missing at {found.unproved} corners of cells: energies may be off"
+            warnings.warn(f"{told}; take more cells", stacklevel=5)
         return SectionNeighbors(found.lists.T, domain, found.unproved, found.rule.slots)
 
     @usual_modes()
