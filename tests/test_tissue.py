@@ -170,3 +170,4 @@ def test_random_positions_are_uniform_and_follow_the_key():
 def test_cells_for_unit_volume_gives_a_mean_volume_of_one():
     assert TUBE.volume / cells_for_unit_volume(TUBE) == pytest.approx(1, abs=0.5 / 31102)
     assert cells_for_unit_volume(Tube(0.01, 0.01, 0.02)) == 1
+    assert cells_for_unit_volume(Tube(1.45 / (3 * np.pi), 1, 2)) == 2  # mean volumes 1.45 and 0.725

@@ -97,20 +97,23 @@ SHAPES: dict[str, Shape] = {
 
 
 def load_domain(path: str | Path) -> Any:
-    """Read the domain of a tissue from a JSON file.
+    """Read a domain from a JSON file.
 
-    The file holds one object, `{"shape": "tube", "length": 40, "apical_radius": 2, "basal_radius": 8, "periodic":
-    false}`, as `jaxtissue fit` writes it; `periodic` may be left out.
+    The file holds one object with the key "shape" and the dimensions of that shape, for example `{"shape": "tube",
+    "length": 40, "apical_radius": 2, "basal_radius": 8}`; `jaxtissue fit` writes such files. Shapes are "tube", "slab",
+    "elliptic_tube", "bent_tube", "sphere", "ellipsoid" and "fold". The keys are the attribute names of the classes; the
+    key "periodic" of "tube" (true or false) and of "slab" (a list of two) is optional and defaults to false.
 
     Args:
-        path: The file.
+        path: Path of the file.
 
     Returns:
-        The domain, in the unit of the file's sizes.
+        The domain, in the length unit of the file: a `Tube`, a `RoundTube` if "tube" is periodic, or an instance of
+        `Slab`, `EllipticTube`, `BentTube`, `Sphere`, `Ellipsoid` or `Fold`.
 
     Raises:
-        ValueError: If the file can't be read or is no such object, if the shape is unknown, or if a size is missing,
-            unknown, given twice, not a finite number, or one that the domain refuses.
+        ValueError: If the file cannot be read or is not a JSON object, if the shape is unknown, or if a dimension is
+            missing, unknown, given twice, not finite, or invalid for the shape.
 
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder:

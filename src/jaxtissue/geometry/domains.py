@@ -1,4 +1,8 @@
-"""Domains: tissue between two surfaces over one base surface, F(m, h) = (1 - h) S_a(m) + h S_b(m) (Definition 2)."""
+"""Domains: tissue between two surfaces over a common base surface, F(m, h) = (1 - h) S_a(m) + h S_b(m).
+
+Definition 2 and the sections are those of the paper: Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell
+Structure Dynamics via Backbone Spreads", GRAPP 2025.
+"""
 
 import functools
 import math
@@ -35,30 +39,32 @@ class Frame(NamedTuple):
 
 
 class Domain(eqx.Module):
-    """A tissue between two disjoint surfaces that are given over the same base surface (paper, Definition 2).
+    """Base class of domains: tissue between two disjoint surfaces over a common base surface (paper, Definition 2).
 
-    A point of the tissue is F(m, h) = (1 - h) S_a(m) + h S_b(m), with m a point of the base surface and h the height,
-    0 on the apical and 1 on the basal surface. A backbone is the segment of one m. Positions are points of the base
-    surface: [n, 2], or unit vectors [n, 3]. Sizes are pytree leaves: they are traced, and `vmap` runs over them.
-    Methods of points take and give vectors as tuples of their components, of any shape.
+    A point of the tissue is F(m, h) = (1 - h) S_a(m) + h S_b(m), where m is a point of the base surface and h is the
+    height: 0 on the apical surface, 1 on the basal surface. The backbone at m is the segment from S_a(m) to S_b(m).
+    Positions of backbones are points of the base surface: coordinates of shape [n, 2], or unit vectors of shape [n, 3].
+    The dimensions of a domain are pytree leaves, so under `jax.jit` they can change without recompilation, and
+    `jax.vmap` can map over them. Methods that take single points represent vectors as tuples of their components, each
+    an array of any shape.
     """
 
     @property
     def base(self) -> Rectangle | UnitSphere:
-        """The base surface."""
+        """Base surface on which the backbones are placed."""
         raise NotImplementedError
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The names of the coordinates of a position, as in tables of backbones."""
+        """Names of the coordinates of a position, used as column names in tables of backbones."""
         return ("u", "v") if isinstance(self.base, Rectangle) else ("nx", "ny", "nz")
 
     def surfaces(self, m: Vector) -> tuple[Vector, Vector]:
-        """The points S_a(m) and S_b(m) of the apical and the basal surface."""
+        """Return the points S_a(m) and S_b(m) of the apical and the basal surface, as tuples of components."""
         raise NotImplementedError
 
     def frame(self, m: Vector, y: Vector, h: Array) -> Frame:
-        """The points of local coordinates y round m at the height h, and their derivatives."""
+        """Return points and their derivatives at local coordinates y around the base point m, at height h."""
 
         def place(y: Vector) -> tuple[Vector, Vector]:
             apical, basal = self.surfaces(self.base.chart(m, y))
@@ -72,31 +78,54 @@ class Domain(eqx.Module):
 
     @usual_modes()
     def embed(self, positions: Float[Array, "n d"]) -> Backbones:
-        """Place backbones in space, as segments from the apical to the basal surface (paper, Definition 2)."""
+        """Convert positions to backbones in Cartesian coordinates: segments from the apical to the basal surface.
+
+        Args:
+            positions: Positions of the backbones, shape [n, 2], or unit vectors of shape [n, 3]. May be traced.
+
+        Returns:
+            Named tuple with fields `apical` and `basal`, the Cartesian end points of the backbones, each of shape [n,
+            3].
+        """
         return Backbones(*map(rows, self.surfaces(components(jnp.asarray(positions)))))
 
     @usual_modes()
     def reflect(self, positions: Float[Array, "n d"]) -> Float[Array, "n d"]:
-        """Bring positions back by reflection at free ends and by whole turns and periods in other directions."""
+        """Map positions back onto the base surface: reflect at free ends, wrap in closed and periodic directions.
+
+        Args:
+            positions: Positions of the backbones, shape [n, 2], or vectors of shape [n, 3], which are normalized. May
+                be traced.
+
+        Returns:
+            Positions on the base surface, of the same shape.
+        """
         return rows(self.base.wrap(components(jnp.asarray(positions))))
 
     @property
     def volume(self) -> float | Array:
-        """The volume of the tissue, the integral of |det dF|, right to 1e-6."""
+        """Volume of the tissue in cubed length units, by quadrature of |det dF| to a relative error of about 1e-6."""
         return self._integral("volume")
 
     @property
     def apical_area(self) -> float | Array:
-        """The area of the apical surface, right to 1e-6."""
+        """Area of the apical surface in squared length units, by quadrature to a relative error of about 1e-6."""
         return self._integral("apical")
 
     @property
     def basal_area(self) -> float | Array:
-        """The area of the basal surface, right to 1e-6."""
+        """Area of the basal surface in squared length units, by quadrature to a relative error of about 1e-6."""
         return self._integral("basal")
 
     def layer_volume(self, heights: Float[Array, "layers"]) -> Float[Array, "layers"]:
-        """The integral of |det dF| over whole layers of constant height."""
+        """Compute the integral of |det dF| over the layer at each of the given heights.
+
+        Args:
+            heights: Heights h of the layers, 0 (apical) to 1 (basal), shape [layers].
+
+        Returns:
+            One integral per layer, shape [layers]; the integral of these over h is the volume of the tissue.
+        """
         return _layer_integral(self, jnp.asarray(heights), "volume")
 
     def _integral(self, what: str) -> float | Array:
@@ -108,19 +137,19 @@ class Domain(eqx.Module):
 
     @usual_modes()
     def random_positions(self, key: PRNGKeyArray, count: int) -> Float[Array, "n d"]:
-        """Draw positions uniformly by area of the apical surface (paper, section 4.2).
+        """Draw positions uniformly with respect to the area of the apical surface (paper, section 4.2).
 
-        Points of the base surface are proposed and taken with a probability in proportion to the apical area there.
+        Positions are drawn by rejection sampling and sorted by their first coordinate.
 
         Args:
-            key: A random key of JAX.
-            count: n, the number of backbones.
+            key: JAX random key.
+            count: Number of backbones n, at least 1.
 
         Returns:
-            The positions, [n, d].
+            Positions, shape [n, 2], or unit vectors of shape [n, 3].
 
         Raises:
-            ValueError: If the count is below 1.
+            ValueError: If `count` is less than 1.
         """
         if count < 1:
             raise ValueError(f"count={count} backbones fill no tissue; give at least 1")

@@ -1,4 +1,4 @@
-"""The shapes: slab, round, elliptic and bent tube, sphere, ellipsoid and fold."""
+"""Shapes of domains: slab, round, elliptic and bent tube, sphere, ellipsoid and fold."""
 
 import math
 from collections.abc import Sequence
@@ -43,13 +43,15 @@ class Shape(Domain):
 
 
 class Slab(Shape):
-    """A flat sheet: apical surface z = 0, basal surface z = thickness, 0 <= x <= width, 0 <= y <= depth.
+    """Flat sheet with apical surface z = 0 and basal surface z = thickness, for 0 <= x <= width and 0 <= y <= depth.
+
+    The position of a backbone is (x, y).
 
     Attributes:
-        width: The extent along x; its unit is the unit of all lengths.
-        depth: The extent along y.
-        thickness: The distance of the two surfaces.
-        periodic: Whether the sheet goes on as a copy of itself in x and in y.
+        width: Extent along x. Its unit is the unit of all lengths.
+        depth: Extent along y.
+        thickness: Distance between the two surfaces.
+        periodic: Whether the x and the y direction are periodic, two booleans. Defaults to (False, False).
 
     >>> Slab(width=4, depth=3, thickness=2, periodic=(True, True)).volume
     24.0
@@ -62,28 +64,33 @@ class Slab(Shape):
 
     @property
     def base(self) -> Rectangle:
-        """The base surface."""
+        """Base surface on which the backbones are placed."""
         return Rectangle((self.width, self.depth), tuple(map(_direction, self.periodic)))  # type: ignore[arg-type]
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The names of the coordinates of a position, as in tables of backbones."""
+        """Names of the coordinates of a position, used as column names in tables of backbones."""
         return ("x", "y")
 
     def surfaces(self, m: Vector) -> tuple[Vector, Vector]:
-        """The points of the apical and the basal surface."""
+        """Return the points of the apical and the basal surface, as tuples of components."""
         level = jnp.zeros_like(m[0])
         return (m[0], m[1], level), (m[0], m[1], level + self.thickness)
 
 
 class RoundTube(Shape):
-    """The tube of `Tube` as a domain like any other, which may be periodic along its axis.
+    """Straight round tube that may be periodic along its axis.
+
+    For a tube with two ends use `Tube`, which describes the same tissue and supports more (relaxation, meshes, exports)
+    and any ratio of radii. Use `RoundTube` for a periodic tube, or to compare a round tube with the other domains, as
+    its cells are measured by the same method as theirs. The position of a backbone is (axial, angle), with the angle in
+    radians.
 
     Attributes:
-        length: The length of the tube.
-        apical_radius: The radius of the apical surface.
-        basal_radius: The radius of the basal surface.
-        periodic: Whether the tube goes on as a copy of itself beyond its ends.
+        length: Length of the tube, or its period if `periodic`. Its unit is the unit of all lengths.
+        apical_radius: Radius of the apical surface.
+        basal_radius: Radius of the basal surface.
+        periodic: Whether the axial direction is periodic. Defaults to False.
 
     >>> round(RoundTube(length=10, apical_radius=1, basal_radius=2, periodic=True).volume / math.pi, 6)
     30.0
@@ -96,30 +103,31 @@ class RoundTube(Shape):
 
     @property
     def base(self) -> Rectangle:
-        """The base surface."""
+        """Base surface on which the backbones are placed."""
         return Rectangle((self.length, 2 * math.pi), (_direction(self.periodic), "closed"))
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The names of the coordinates of a position, as in tables of backbones."""
+        """Names of the coordinates of a position, used as column names in tables of backbones."""
         return ("axial", "angle")
 
     def surfaces(self, m: Vector) -> tuple[Vector, Vector]:
-        """The points of the apical and the basal surface."""
+        """Return the points of the apical and the basal surface, as tuples of components."""
         y, z = jnp.cos(m[1]), jnp.sin(m[1])
         inner, outer = self.apical_radius, self.basal_radius
         return (m[0], inner * y, inner * z), (m[0], outer * y, outer * z)
 
 
 class EllipticTube(Shape):
-    """A straight tube between two elliptic cylinders, y = a_1 cos(angle), z = a_2 sin(angle).
+    """Straight tube between two elliptic cylinders, y = a_1 cos(angle) and z = a_2 sin(angle).
 
-    The angle is the parameter of the ellipses; a backbone joins the two points of one parameter.
+    The position of a backbone is (axial, angle). The angle, in radians, is the parameter of both ellipses, and the
+    backbone joins the two points with the same parameter.
 
     Attributes:
-        length: The length of the tube.
-        apical_axes: The semi-axes of the apical surface along y and z, [2].
-        basal_axes: The semi-axes of the basal surface, [2].
+        length: Length of the tube. Its unit is the unit of all lengths.
+        apical_axes: Semi-axes of the apical surface along y and z, shape [2].
+        basal_axes: Semi-axes of the basal surface along y and z, shape [2].
 
     >>> round(EllipticTube(length=10, apical_axes=[1, 2], basal_axes=[2, 3]).volume / math.pi, 6)
     40.0
@@ -131,29 +139,32 @@ class EllipticTube(Shape):
 
     @property
     def base(self) -> Rectangle:
-        """The base surface."""
+        """Base surface on which the backbones are placed."""
         return Rectangle((self.length, 2 * math.pi), ("free", "closed"))
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The names of the coordinates of a position, as in tables of backbones."""
+        """Names of the coordinates of a position, used as column names in tables of backbones."""
         return ("axial", "angle")
 
     def surfaces(self, m: Vector) -> tuple[Vector, Vector]:
-        """The points of the apical and the basal surface."""
+        """Return the points of the apical and the basal surface, as tuples of components."""
         y, z = jnp.cos(m[1]), jnp.sin(m[1])
         inner, outer = ((m[0], axes[0] * y, axes[1] * z) for axes in (self.apical_axes, self.basal_axes))
         return inner, outer
 
 
 class BentTube(Shape):
-    """A tube whose center line is an arc in the plane z = 0 round the origin; a torus where the arc is 2 pi.
+    """Tube whose center line is a circular arc around the origin in the plane z = 0; a torus if the arc is 2 pi.
+
+    The position of a backbone is (axial, angle): the arc length along the center line, and the angle around it in
+    radians, 0 on the outer side of the bend.
 
     Attributes:
-        bend_radius: R, the radius of the center line.
-        arc: The angle that the center line spans, at most 2 pi; it is static, not traced.
-        apical_radius: The radius of the apical surface round the center line.
-        basal_radius: The radius of the basal surface, below R.
+        bend_radius: R, radius of the center line. Its unit is the unit of all lengths.
+        arc: Angle in radians that the center line spans, greater than 0 and at most 2 pi. Static under `jax.jit`.
+        apical_radius: Radius of the apical surface around the center line.
+        basal_radius: Radius of the basal surface around the center line, less than R.
 
     >>> torus = BentTube(bend_radius=5, arc=2 * math.pi, apical_radius=1, basal_radius=2)
     >>> round(torus.volume / (2 * math.pi**2 * 5 * 3), 6)
@@ -167,21 +178,21 @@ class BentTube(Shape):
 
     @property
     def is_torus(self) -> bool:
-        """Whether the arc is a full turn, to 1e-6."""
+        """Whether the arc is a full turn, to within 1e-6 radians."""
         return abs(self.arc - 2 * math.pi) < 1e-6
 
     @property
     def base(self) -> Rectangle:
-        """The base surface."""
+        """Base surface on which the backbones are placed."""
         return Rectangle((self.bend_radius * self.arc, 2 * math.pi), ("closed" if self.is_torus else "free", "closed"))
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The names of the coordinates of a position, as in tables of backbones."""
+        """Names of the coordinates of a position, used as column names in tables of backbones."""
         return ("axial", "angle")
 
     def surfaces(self, m: Vector) -> tuple[Vector, Vector]:
-        """The points of the apical and the basal surface."""
+        """Return the points of the apical and the basal surface, as tuples of components."""
         turn = m[0] / self.bend_radius
         across, up = jnp.cos(m[1]), jnp.sin(m[1])
         ahead, aside = jnp.cos(turn), jnp.sin(turn)
@@ -194,11 +205,13 @@ class BentTube(Shape):
 
 
 class Sphere(Shape):
-    """A hollow sphere, as a cyst or spheroid, with radial backbones.
+    """Hollow sphere with radial backbones, such as a cyst or a spheroid.
+
+    The position of a backbone is a unit vector, shape [3].
 
     Attributes:
-        apical_radius: The radius of the apical surface.
-        basal_radius: The radius of the basal surface.
+        apical_radius: Radius of the apical (inner) surface. Its unit is the unit of all lengths.
+        basal_radius: Radius of the basal (outer) surface.
 
     >>> round(Sphere(apical_radius=1, basal_radius=2).volume / math.pi, 6)
     9.333333
@@ -209,20 +222,23 @@ class Sphere(Shape):
 
     @property
     def base(self) -> UnitSphere:
-        """The base surface."""
+        """Base surface on which the backbones are placed."""
         return UnitSphere()
 
     def surfaces(self, m: Vector) -> tuple[Vector, Vector]:
-        """The points of the apical and the basal surface."""
+        """Return the points of the apical and the basal surface, as tuples of components."""
         return scale(self.apical_radius, m), scale(self.basal_radius, m)
 
 
 class Ellipsoid(Shape):
-    """A hollow ellipsoid; the ends of the backbone of a unit vector n are axes * n.
+    """Hollow ellipsoid.
+
+    The position of a backbone is a unit vector m, shape [3]; the backbone joins the points `apical_axes * m` and
+    `basal_axes * m`.
 
     Attributes:
-        apical_axes: The semi-axes of the apical surface along x, y and z, [3].
-        basal_axes: The semi-axes of the basal surface, [3].
+        apical_axes: Semi-axes of the apical surface along x, y and z, shape [3]. Their unit is the unit of all lengths.
+        basal_axes: Semi-axes of the basal surface along x, y and z, shape [3].
 
     >>> round(Ellipsoid(apical_axes=[2, 1, 1], basal_axes=[3, 2, 2]).volume / (4 * math.pi / 3), 5)
     10.0
@@ -233,24 +249,27 @@ class Ellipsoid(Shape):
 
     @property
     def base(self) -> UnitSphere:
-        """The base surface."""
+        """Base surface on which the backbones are placed."""
         return UnitSphere()
 
     def surfaces(self, m: Vector) -> tuple[Vector, Vector]:
-        """The points of the apical and the basal surface."""
+        """Return the points of the apical and the basal surface, as tuples of components."""
         inner, outer = (tuple(axes[k] * m[k] for k in range(3)) for axes in (self.apical_axes, self.basal_axes))
         return inner, outer
 
 
 class Fold(Shape):
-    """A folded sheet: apical surface z = a sin(2 pi x / wavelength), basal surface at a distance along its normal.
+    """Sinusoidally folded sheet of constant thickness.
+
+    The apical surface is z = amplitude sin(2 pi x / wavelength), and the basal surface lies at distance `thickness`
+    along its normal, on the side of positive z. The position of a backbone is (x, y) of its apical end.
 
     Attributes:
-        width: The extent along x, at a right angle to the folds.
-        depth: The extent along y.
-        amplitude: a, half of the height of the folds.
-        wavelength: The distance from fold to fold.
-        thickness: The distance of the two surfaces; it must be below the least radius of curvature.
+        width: Extent along x, perpendicular to the folds. Its unit is the unit of all lengths.
+        depth: Extent along y.
+        amplitude: Half the height of the folds; may be 0 or negative.
+        wavelength: Period of the folds along x.
+        thickness: Distance between the two surfaces, less than the smallest radius of curvature of the apical surface.
 
     >>> round(Fold(width=8, depth=4, amplitude=0, wavelength=4, thickness=1).volume, 6)
     32.0
@@ -264,16 +283,16 @@ class Fold(Shape):
 
     @property
     def base(self) -> Rectangle:
-        """The base surface."""
+        """Base surface on which the backbones are placed."""
         return Rectangle((self.width, self.depth), ("free", "free"))
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The names of the coordinates of a position, as in tables of backbones."""
+        """Names of the coordinates of a position, used as column names in tables of backbones."""
         return ("x", "y")
 
     def surfaces(self, m: Vector) -> tuple[Vector, Vector]:
-        """The points of the apical and the basal surface."""
+        """Return the points of the apical and the basal surface, as tuples of components."""
         wave = 2 * math.pi / self.wavelength
         height, slope = self.amplitude * jnp.sin(wave * m[0]), self.amplitude * wave * jnp.cos(wave * m[0])
         share = self.thickness / jnp.sqrt(1 + slope**2)

@@ -1,4 +1,8 @@
-"""Shells: the tissue between any two surfaces, or between one and another at a distance along its normal."""
+"""Shells: tissue between two arbitrary surfaces, or between one surface and its offset along the normal.
+
+Definition 2 is that of the paper: Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics
+via Backbone Spreads", GRAPP 2025.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,15 +20,25 @@ Surface = Callable[[Float[Array, "d"]], Float[Array, "3"]]
 
 
 class Shell(Shape):
-    """The tissue between any two surfaces, given as JAX functions over one base surface (paper, Definition 2).
+    """Tissue between two arbitrary surfaces, given as JAX functions on a common base surface (paper, Definition 2).
+
+    Use `Shell` for shapes that have no class of their own. A position m is a point of the base surface, either the
+    rectangle of coordinates 0 <= m_k <= extent[k] or the unit sphere, and the backbone at m is the segment from S_a(m)
+    to S_b(m).
 
     Attributes:
-        apical: The function m -> S_a(m), from a point of the base surface, [2] or a unit vector [3], to space, [3].
-        basal: The function m -> S_b(m); or a thickness, for the surface at this distance along the normal
-            dS_a/dm_1 x dS_a/dm_2, negative for the other side.
-        extent: The lengths of the two coordinates, which begin at 0; None for unit vectors.
-        directions: "free", "closed" or "periodic" for each coordinate. In a closed direction the functions return to
-            the same point, in a periodic one to a shifted one.
+        apical: Function m -> S_a(m) from one point of the base surface, shape [2] or a unit vector of shape [3], to a
+            point in space, shape [3]. Must be differentiable by JAX; static under `jax.jit`.
+        basal: Function m -> S_b(m) of the same kind, or a number: the distance of the basal surface from the apical one
+            along the normal dS_a/dm_1 x dS_a/dm_2, negative for the opposite side.
+        extent: Lengths of the two coordinate intervals, which start at 0. None, the default, if positions are unit
+            vectors.
+        directions: Boundary condition in each of the two coordinates. "free" (the default for both): the tissue ends
+            there. "closed": the functions take the same values at both ends. "periodic": their values differ by a
+            constant shift. Not used if `extent` is None.
+
+    Raises:
+        ValueError: If a direction is unknown, or if the surfaces are not finite, touch, intersect or fold over.
 
     >>> cone = Shell(lambda m: jnp.stack([m[0], m[1], 0 * m[0]]), 2.0, extent=(3, 4))
     >>> round(cone.volume, 6)
@@ -52,11 +66,11 @@ class Shell(Shape):
 
     @property
     def base(self) -> Rectangle | UnitSphere:
-        """The base surface."""
+        """Base surface on which the backbones are placed: a rectangle, or the unit sphere if `extent` is None."""
         return UnitSphere() if self.extent is None else Rectangle(self.extent, self.directions)
 
     def surfaces(self, m: Vector) -> tuple[Vector, Vector]:
-        """The points of the apical and the basal surface."""
+        """Return the points S_a(m) and S_b(m) of the apical and the basal surface, as tuples of components."""
         together = jnp.stack(m)
         both = self._both
         for _ in range(together.ndim - 1):  # the functions are those of one point
