@@ -1,4 +1,4 @@
-"""The energy of a tissue, a sum over the cells (paper, section 3.1)."""
+"""Energy of a tissue as a sum over its cells (section 3.1 of Buceta, Funke, Storandt, GRAPP 2025, "the paper")."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,16 +26,14 @@ CellEnergy = Callable[[CellGeometry, "Model"], Float[Array, "cells"]]
 
 @usual_modes()
 def volume_elasticity(cells: CellGeometry, model: "Model") -> Float[Array, "cells"]:
-    """The elastic energy K/2 (Vbar - V_i)^2 of each cell: the cost of a volume that differs from the mean volume.
-
-    The first term of the paper's energy (section 3.1).
+    """Compute the elastic energy K/2 (Vbar - V_i)^2 of each cell, the first term of the paper's energy (section 3.1).
 
     Args:
-        cells: The sizes of the cells; only `volume` is read.
-        model: The model, of which the modulus K and the mean volume Vbar are read.
+        cells: Geometry of the cells, of which `volume` is used.
+        model: Energy model, of which the modulus K and the mean volume Vbar are used.
 
     Returns:
-        The energy of each cell, [cells], in the unit of energy that K sets.
+        Energy of each cell, shape [cells], in the energy unit set by K.
 
     >>> model = tube_model(Tube(10, 1, 2), 3, modulus=2.0)
     >>> cells = CellGeometry(volume=model.mean_volume + jnp.array([0.0, 1.0, -2.0]), lateral_area=jnp.ones(3))
@@ -47,16 +45,16 @@ def volume_elasticity(cells: CellGeometry, model: "Model") -> Float[Array, "cell
 
 @usual_modes()
 def lateral_tension(cells: CellGeometry, model: "Model") -> Float[Array, "cells"]:
-    """The energy Lambda A_i of the lateral walls that each cell shares with other cells.
+    """Compute the energy Lambda A_i of the walls of each cell, the second term of the paper's energy (section 3.1).
 
-    The second term of the paper's energy (section 3.1).
+    The sum over the cells counts each wall twice, once for each of its two cells: the tension of a wall is 2 Lambda.
 
     Args:
-        cells: The sizes of the cells; only `lateral_area` is read.
-        model: The model, of which the tension Lambda is read.
+        cells: Geometry of the cells, of which `lateral_area` is used.
+        model: Energy model, of which the tension Lambda is used.
 
     Returns:
-        The energy of each cell, [cells].
+        Energy of each cell, shape [cells], in the energy unit set by Lambda.
 
     >>> cells = CellGeometry(volume=jnp.ones(2), lateral_area=jnp.array([1.0, 3.0]))
     >>> lateral_tension(cells, tube_model(Tube(10, 1, 2), 2, tension=0.5)).tolist()
@@ -67,14 +65,16 @@ def lateral_tension(cells: CellGeometry, model: "Model") -> Float[Array, "cells"
 
 @usual_modes()
 def epithelial_energy(cells: CellGeometry, model: "Model") -> Float[Array, "cells"]:
-    """The paper's energy of each cell, E_i = K/2 (Vbar - V_i)^2 + Lambda A_i (section 3.1).
+    """Compute the energy of each cell in the paper's model, E_i = K/2 (Vbar - V_i)^2 + Lambda A_i (section 3.1).
+
+    The energy of the tissue is the sum over its cells, in which each wall between two cells counts twice.
 
     Args:
-        cells: The sizes of the cells; `volume` and `lateral_area` are read.
-        model: The model, with the modulus K, the mean volume Vbar and the tension Lambda.
+        cells: Geometry of the cells, of which `volume` and `lateral_area` are used.
+        model: Energy model, of which the modulus K, the mean volume Vbar and the tension Lambda are used.
 
     Returns:
-        The energy of each cell, [cells]; the energy of the tissue is its sum.
+        Energy of each cell, shape [cells].
 
     >>> model = tube_model(Tube(10, 1, 2), 2)
     >>> cells = CellGeometry(volume=jnp.full(2, model.mean_volume), lateral_area=jnp.array([1.0, 3.0]))
@@ -85,26 +85,24 @@ def epithelial_energy(cells: CellGeometry, model: "Model") -> Float[Array, "cell
 
 
 class Model(eqx.Module):
-    """The energy model of a tissue: its domain, its constants, and the energy of a cell (paper, section 3.1).
+    """Energy model of a tissue: its domain, the constants, and the energy function of a cell (paper, section 3.1).
 
-    The constants are one number each, the same for all cells; `parameters` differ from cell to cell. All fields but the
-    function are traced, so that they change without recompiling. `tube_model` makes a model with Vbar = |D| / n.
+    Create one with `tube_model`. `cell_energy` and `has_surfaces` are static under `jax.jit`; all other fields are
+    traced and can change without recompilation.
 
     Attributes:
         domain: The tube or other domain that the cells fill.
-        mean_volume: Vbar, the mean volume of a cell.
-        modulus: K, the weight of the volume term.
-        tension: Lambda, the weight of the lateral area.
-        cell_energy: A function `cell_energy(cells, model)` that gives the energy E_i of each cell, [cells]. It may be
-            any jittable function of `CellGeometry.volume` and `lateral_area` (of the sizes on the surfaces too, after
-            `with_surfaces`) in which the energy of a cell depends on the sizes of that cell alone.
-        parameters: A pytree of arrays with the cells as first axis, [n, ...], or None. Where the function is called
-            for a part of the cells, `model.parameters` holds the rows of that part.
-        adhesion: How walls count by the types of the two cells that they part, or None. `lateral_area` is then the sum
-            of the areas of a cell's walls, each times the weight of its pair of types. Weights above 1 between unlike
-            types make these separate, as differential adhesion does.
-        has_surfaces: Whether `cell_energy` is given the areas and perimeters on the apical and basal surface too; see
-            `with_surfaces`.
+        mean_volume: Vbar, mean volume of a cell, a scalar.
+        modulus: K, weight of the volume term, a scalar. Defaults to 1.
+        tension: Lambda, weight of the lateral area, a scalar. Defaults to 0.4.
+        cell_energy: Jittable function `cell_energy(cells, model)` that returns the energy E_i of each cell, shape
+            [cells]. Defaults to `epithelial_energy`. It may read `cells.volume` and `cells.lateral_area`; the energy of
+            a cell must depend only on the geometry and parameters of that cell.
+        parameters: Parameters that differ between cells, for use by `cell_energy`: a pytree of arrays of shape
+            [n, ...], or None. If `cell_energy` is called for a subset of the cells, `model.parameters` holds their rows
+            only.
+        adhesion: An `Adhesion`, by which `cells.lateral_area` becomes a weighted sum of wall areas, or None.
+        has_surfaces: Whether `cell_energy` may also read areas and perimeters on the surfaces; set by `with_surfaces`.
     """
 
     domain: Tube | Domain
@@ -118,15 +116,15 @@ class Model(eqx.Module):
 
     @property
     def tube(self) -> Tube:
-        """The domain, if that is a tube; raises `AttributeError` for other domains."""
+        """The domain, if it is a `Tube`. Raises AttributeError for other domains."""
         if isinstance(self.domain, Tube):
             return self.domain
         raise AttributeError(f"a model of {type(self.domain).__name__} has no tube; use model.domain")
 
     def with_surfaces(self) -> "Model":
-        """The same model for a `cell_energy` that reads areas and perimeters on the apical and basal surface.
+        """Return a copy whose `cell_energy` can read areas and perimeters on the surfaces, which are None otherwise.
 
-        They are measured in every move, so that a sweep takes 1.2 to 1.6 times as long; without this they are None.
+        A sweep then takes 1.2 to 1.6 times as long.
 
         >>> def contractile(cells, model):
         ...     return epithelial_energy(cells, model) + 0.1 * cells.apical_perimeter**2
@@ -136,7 +134,7 @@ class Model(eqx.Module):
         return replace(self, has_surfaces=True)
 
     def of(self, cells: Int[Array | np.ndarray, "cells"]) -> "Model":
-        """The model for a part of the cells, by their numbers, with the rows of the parameters that belong to them."""
+        """Return the model for a subset of the cells, given by their indices, with their rows of `parameters`."""
         if self.parameters is None:
             return self
         rows = jax.tree.map(lambda table: take_rows(table, jnp.asarray(cells)), self.parameters)
@@ -153,29 +151,33 @@ def tube_model(
     parameters: Any = None,
     adhesion: Adhesion | None = None,
 ) -> Model:
-    """The energy model of `cells` cells that fill a domain, with Vbar = |D| / n (paper, sections 3.1 and 4.3).
+    """Create the energy model of a tissue, E = sum of K/2 (Vbar - V_i)^2 + Lambda A_i by default (paper, section 3.1).
 
-    The defaults are the paper's constants, K = 1 and Lambda = 0.4.
+    Vbar is the volume of the domain divided by the number of cells. The defaults of K and Lambda are those of the paper
+    (section 4.3).
 
     Args:
         tube: The tube, or any other domain, that the cells fill.
-        cells: n, the number of cells.
-        modulus: K, the weight of the volume term.
-        tension: Lambda, the weight of the lateral area.
-        cell_energy: The energy of each cell as a function of its sizes and the model; see `Model`.
-        relative: Whether K and Lambda have no units: E_i = K/2 (1 - V_i / Vbar)^2 + Lambda A_i / Vbar^(2/3), so that a
-            tissue has the same energy in every unit of length. A `cell_energy` of your own then finds the modulus
-            K / Vbar^2 and the tension Lambda / Vbar^(2/3).
-        parameters: Values that a `cell_energy` of your own needs of each cell, such as target volumes: an array, or a
-            dictionary, tuple or other tree of arrays, with one row for each cell.
-        adhesion: Types of the cells, and how much walls between two types count; by default all count alike.
+        cells: Number of cells n, at least 1.
+        modulus: K, weight of the volume term, at least 0. Defaults to 1.
+        tension: Lambda, weight of the lateral area, at least 0. Defaults to 0.4.
+        cell_energy: Energy of each cell as a function `cell_energy(cells, model)`; see `Model`. Defaults to
+            `epithelial_energy`.
+        relative: Whether `modulus` and `tension` are dimensionless. Defaults to False. With True, E_i = K/2 (1 - V_i /
+            Vbar)^2 + Lambda A_i / Vbar^(2/3), which does not depend on the length unit; a custom `cell_energy` then
+            reads K / Vbar^2 as `model.modulus` and Lambda / Vbar^(2/3) as `model.tension`.
+        parameters: Parameters that differ between cells, such as target volumes, for use by a custom `cell_energy`: an
+            array or a pytree of arrays, each of shape [n, ...]. Defaults to None.
+        adhesion: An `Adhesion`, which weights walls by the types of their two cells. Defaults to None: all weights are
+            1.
 
     Returns:
         The model.
 
     Raises:
-        ValueError: If the modulus or the tension is no number, negative or not finite, if there are no cells, or if the
-            parameters do not have one row for each cell or are not finite numbers.
+        ValueError: If `modulus` or `tension` is not a finite number of at least 0, if `cells` is less than 1, if
+            `parameters` are not finite or do not have one row per cell, or if the types or weights of `adhesion` are
+            invalid.
 
     >>> def energy(cells, model):
     ...     return (cells.volume - model.parameters) ** 2

@@ -1,4 +1,4 @@
-"""Differential adhesion: weights of walls by the types of the two cells that share them."""
+"""Differential adhesion: weights of walls that depend on the types of the two adjacent cells."""
 
 from typing import Any
 
@@ -17,21 +17,31 @@ def _as_array(given: Any) -> Any:
 
 
 class Adhesion(eqx.Module):
-    """Differential adhesion: the weight of a wall depends on the types of the two cells that share it.
+    """Differential adhesion: the tension of a wall depends on the types of the two cells that share it.
 
-    In the energy, the wall between cells i and j contributes its area times `weights[types[i], types[j]]` to the
-    lateral areas of both cells. With larger weights between unlike types, the types sort.
+    Pass an `Adhesion` to `tube_model`. The wall between cells i and j then contributes its area times
+    `weights[types[i], types[j]]` to the lateral areas A_i and A_j that enter the energy. If walls between unlike types
+    have larger weights than walls between like types, cells sort by type.
 
     Attributes:
-        types: The type of each cell, 0 to k - 1, [n].
-        weights: The weight of a wall between cells of two types, symmetric, [k, k].
+        types: Type of each cell, integers 0 to k - 1, shape [n].
+        weights: Dimensionless weight of walls between each pair of types, a symmetric matrix of finite numbers, shape
+            [k, k]. A weight of 1 leaves the area unchanged.
     """
 
     types: Int[Array | np.ndarray, "n"] = eqx.field(converter=_as_array)
     weights: Float[Array | np.ndarray, "k k"] = eqx.field(converter=_as_array)
 
     def between(self, cells: Int[Array, "cells"], others: Int[Array, "..."]) -> Float[Array, "..."]:
-        """The weight of the wall between each cell and each of the other cells, by their numbers."""
+        """Return the weight of the wall between cells and other cells.
+
+        Args:
+            cells: Indices of cells, shape [cells].
+            others: Indices of the cells on the other side of the walls, of any shape that broadcasts with `cells`.
+
+        Returns:
+            Weights, of the broadcast shape.
+        """
         types = jnp.asarray(self.types, jnp.int32)  # products of small types leave their range
         count = self.weights.shape[0]
         pair = take_rows(types, cells) * count + take_rows(types, others)

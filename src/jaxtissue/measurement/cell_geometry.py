@@ -1,4 +1,8 @@
-"""The sizes of cells as one value, which shows its numbers and becomes a table."""
+"""Geometric measures of cells: volumes, areas and perimeters with estimated errors, shown as numbers or as a table.
+
+"The paper" is Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone
+Spreads", GRAPP 2025.
+"""
 
 from typing import Any
 
@@ -11,26 +15,30 @@ from jaxtissue.system.frames import as_frame
 
 
 class CellGeometry(eqx.Module):
-    """The sizes of each cell (paper, section 3.1), in the unit of the tube's lengths, its square and its cube.
+    """Volumes, areas and perimeters of the cells of a tissue (paper, section 3.1).
 
-    Areas and perimeters on the two surfaces are None where the lines do not include the surfaces, and the errors are
-    None except for whole tissues that `measure_tissue` refined.
+    Lengths are in the length unit of the domain, areas in its square, volumes in its cube. All arrays have one entry
+    per cell. Fields that were not measured are None: the four on the surfaces if `surfaces=False`, and the two errors
+    if `refine=False` or if the cells come from `CellMeasurer`.
 
     Attributes:
-        volume: V_i, the volume of each cell, [cells].
-        lateral_area: A_i, the area of its walls with other cells; surfaces and ends of the tube are not counted,
-            [cells].
-        apical_area: The area of its part of the apical surface, [cells].
-        basal_area: The area of its part of the basal surface, [cells].
-        apical_perimeter: The length of its edges with other cells on the apical surface, [cells]; the circles at the
-            ends of the tube are not counted.
-        basal_perimeter: The same on the basal surface, [cells].
-        touches_end: Whether it touches an end plane, x = 0 or x = L, [cells].
-        volume_error: An estimated bound of the error of its volume, in the unit of volume, which most cells keep,
-            [cells].
-        lateral_area_error: The same for its lateral area, in the unit of area, [cells].
-        tiling_defect: The largest relative error of the cells' lengths summed along a line: 0 to rounding where no
-            neighbor was missing.
+        volume: V_i, volume of each cell, shape [cells].
+        lateral_area: A_i, area of the walls that each cell shares with other cells, shape [cells]. The apical and basal
+            faces and the faces at the ends of the domain are not included.
+        apical_area: Area of each cell on the apical surface, shape [cells].
+        basal_area: Area of each cell on the basal surface, shape [cells].
+        apical_perimeter: Length of the edges that each cell shares with other cells on the apical surface, shape
+            [cells]. Edges along the ends of the domain are not included.
+        basal_perimeter: Length of the edges that each cell shares with other cells on the basal surface, shape [cells].
+            Edges along the ends of the domain are not included.
+        touches_end: Whether each cell touches an end of the domain (in a tube x = 0 or x = L), booleans, shape [cells].
+        volume_error: Estimated absolute error of each volume, shape [cells]. The estimate exceeds the true error for
+            most cells, but it is not a strict bound.
+        lateral_area_error: Estimated absolute error of each lateral area, shape [cells]. Not a strict bound either.
+        tiling_defect: Scalar measure of the completeness of the neighbor lists: the largest relative deviation, over
+            all quadrature lines, of the summed segment lengths of the cells from the full length of the line. Zero up
+            to round-off if no neighbor is missing. On domains other than `Tube` it compares the summed sections with
+            whole layers, and also contains the error of the sections.
     """
 
     volume: Float[Array, "cells"]
@@ -45,15 +53,23 @@ class CellGeometry(eqx.Module):
     tiling_defect: Float[Array, ""] | None = None
 
     def of_energy(self, has_surfaces: bool) -> "CellGeometry":
-        """The sizes that an energy may read: volumes and lateral areas, and those on the surfaces or None for them."""
+        """Return only the measures that an energy function may read.
+
+        Args:
+            has_surfaces: Whether to include areas and perimeters on the apical and basal surface.
+
+        Returns:
+            Volumes and lateral areas, with the measures on the surfaces or None in their place; all other fields are
+            None.
+        """
         surfaces = (self.apical_area, self.basal_area, self.apical_perimeter, self.basal_perimeter)
         return CellGeometry(self.volume, self.lateral_area, *surfaces * has_surfaces)
 
     def to_pandas(self) -> Any:
-        """The sizes as a pandas `DataFrame`, with one row for each cell.
+        """Convert to a pandas `DataFrame` with one row per cell.
 
         Returns:
-            A table with a column for each size that was measured.
+            A table with one column for each field that was measured, except `tiling_defect`.
 
         Raises:
             ImportError: If pandas is not installed.

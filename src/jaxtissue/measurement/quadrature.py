@@ -1,4 +1,4 @@
-"""The lines on which cells are measured: parallel to the axis, in layers of constant radius."""
+"""Quadrature lines on which cells are measured: parallel to the axis, in layers of constant radius."""
 
 import functools
 import math
@@ -15,17 +15,20 @@ from jaxtissue.geometry.tube import Tube
 
 
 class Resolution(NamedTuple):
-    """The number of sampling lines by which cells are measured.
+    """Density of the quadrature lines on which cells are measured.
 
-    Cells are measured on lines parallel to the axis of the tube. The lines lie on cylinders of constant radius, the
-    layers; on each line, a cell is the interval between its two walls. Resolutions are written as layers x density. The
-    presets of `PRESETS` are `draft`, 4 x 4, `standard`, 7 x 8, and `fine`, 10 x 10. On every reference tube `draft`
-    errs by at most 0.5 % of the mean volume and 3 % of the mean lateral area, `standard` by 0.07 % and 1 %, `fine` by
-    0.05 % and 0.5 %.
+    In a `Tube`, cells are measured on lines parallel to the axis, arranged in layers (cylinders of constant radius); on
+    each line a cell is the interval between two walls. On other domains, cells are measured as polygons on layers of
+    constant height, and `density` is not used. Every function with an argument `resolution` accepts a `Resolution`, a
+    tuple (layers, density), a string such as "8x12", or the name of a preset in `PRESETS`: "draft" (4 x 4), "standard"
+    (7 x 8) or "fine" (10 x 10). On domains other than `Tube` the presets have 2, 4 and 8 layers.
+
+    On the reference tubes the root-mean-square errors of volume and lateral area, relative to their means, are at most
+    0.5 % and 3 % for "draft", 0.07 % and 1 % for "standard", and 0.05 % and 0.5 % for "fine".
 
     Attributes:
-        layers: The number of cylinders between the apical and the basal surface, 1 to 64.
-        density: The number of lines per mean cell width on each cylinder, 1 to 64.
+        layers: Number of layers between the apical and the basal surface, an integer from 1 to 64.
+        density: Number of lines per mean cell width in each layer, from 1 to 64.
 
     >>> PRESETS["standard"]
     Resolution(layers=7, density=8)

@@ -1,4 +1,4 @@
-"""Neighbor lists: for each cell the backbones that can bound it, allocated once and used while they hold."""
+"""Neighbor lists: for each cell, the backbones whose cells may share a wall with it."""
 
 from typing import Any
 
@@ -18,20 +18,22 @@ from jaxtissue.neighbors.section_neighbors import SectionNeighbors
 
 
 class NeighborList(eqx.Module):
-    """The candidates that can bound each cell, behind it and ahead of it along the axis.
+    """Neighbor list of a tube: for each cell, the candidates (backbones) whose cells may share a wall with it.
 
-    A list is complete when the cells measured on it tile every line parallel to the axis: the relative error of the
-    lengths summed along a line, the `tiling_defect`, is then 0 to rounding. Lists stay complete while backbones move a
-    little, so they are allocated on the host, kept, and checked with `covers`, which may be jitted.
+    `tissue_energy` needs one. Allocate it outside of `jax.jit` with `NeighborList.allocate`, reuse it while backbones
+    move by small steps, test it with `covers`, and renew it with `update`. The list is complete if the cells measured
+    with it tile every line parallel to the axis.
 
     Attributes:
-        candidates: Numbers of the candidates behind ([:, 0]) and ahead ([:, 1]) of each cell, padded with the cell
-            itself, [n, 2, k].
-        domain: The tube that the backbones stand in.
-        tiling_defect: The defect at the positions that the list was allocated for.
-        is_far: Whether a cell has a part farther round the axis than its first window of lines reaches, [n].
-        angles: Where the lines of the check stand, [layers, lines], in radians.
-        margin: The distance along the axis within which backbones are listed on both sides.
+        candidates: Indices of the candidates of each cell behind it ([:, 0], smaller axial position) and ahead of it
+            ([:, 1], larger axial position), padded with the index of the cell itself, shape [n, 2, k].
+        domain: The tube.
+        tiling_defect: Largest relative deviation, at the positions of allocation, of the summed segment lengths of the
+            cells on a line from its full length. Zero up to round-off for a complete list.
+        is_far: Whether part of a cell lies at an angle beyond the first window of quadrature lines around its backbone,
+            booleans, shape [n].
+        angles: Angles of the lines on which completeness is tested, in radians, shape [layers, lines].
+        margin: Axial distance within which a backbone is listed both behind and ahead. Defaults to 0.
 
     >>> import jax
     >>> tube = Tube(length=40, apical_radius=2, basal_radius=6)
@@ -51,21 +53,21 @@ class NeighborList(eqx.Module):
     @staticmethod
     @usual_modes()
     def allocate(positions: Any, domain: Any, margin: float = 0.0) -> Any:
-        """The complete list of a tissue: as many nearest backbones as it takes for the cells to tile every line.
-
-        On domains other than a `Tube` lists are of another kind, `SectionNeighbors`, with the same methods.
+        """Build the complete neighbor list of a tissue. Runs on the host; not jittable.
 
         Args:
-            positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-            domain: The tube or other domain that they stand in.
-            margin: Backbones within this distance along a tube's axis, a length, are listed both behind and ahead, so
-                that the list holds while a backbone passes another. Other domains need none.
+            positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2]; on other
+                domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+            domain: The tube or other domain.
+            margin: Backbones within this axial distance are listed both behind and ahead, so that the list stays valid
+                when a backbone passes another along the axis. In length units; defaults to 0. Used for `Tube` only.
 
         Returns:
-            The list, with its defect.
+            A `NeighborList` for a `Tube`. For other domains, a `SectionNeighbors` with the same methods; its `covers`
+            is not jittable.
 
         Raises:
-            ValueError: If `as_positions` refuses the positions.
+            ValueError: If a position is not finite, lies outside the domain, or coincides with another.
         """
         if isinstance(domain, Domain):
             return SectionNeighbors.allocate(positions, domain)
@@ -73,18 +75,19 @@ class NeighborList(eqx.Module):
 
     @usual_modes()
     def covers(self, positions: Float[Array | np.ndarray, "n 2"]) -> Bool[Array | np.ndarray, ""]:
-        """Whether the list is still complete for a tissue that moved.
+        """Test whether the list is still complete after backbones have moved. Jittable.
 
-        The check looks along a number of lines only: a small part of a cell that is lacking between them is not seen.
+        Completeness is tested on a finite number of lines, so a missing neighbor that affects only a small part of a
+        cell between these lines can go undetected.
 
         Args:
-            positions: (axial, angle) of each backbone, [n, 2]; may be traced.
+            positions: Axial position and angle in radians of each backbone, shape [n, 2].
 
         Returns:
-            One truth value.
+            Boolean scalar: True if the list is complete.
 
         Raises:
-            ValueError: If the number of backbones is not that of the list.
+            ValueError: If the number of backbones differs from the number of cells of the list.
         """
         if len(positions) != len(self):
             raise ValueError(f"{len(positions)} positions for a list of {len(self)} cells; allocate another")
@@ -96,16 +99,17 @@ class NeighborList(eqx.Module):
 
     @usual_modes()
     def update(self, positions: Any) -> "NeighborList":
-        """This list where it covers the positions, else one allocated anew; on the host.
+        """Return this list if it is complete for the given positions, or else a new list. On the host; not jittable.
 
         Args:
-            positions: (axial, angle) of each backbone, [n, 2].
+            positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2]. The number of
+                backbones may differ from that of the list.
 
         Returns:
-            A list that is complete for them.
+            A list that is complete for `positions`; the same object if it still was.
 
         Raises:
-            ValueError: If `as_positions` refuses the positions.
+            ValueError: If a position is not finite, lies outside the tube, or coincides with another.
         """
         place = as_positions(positions, self.domain)
         if len(place) == len(self) and self.covers(place):

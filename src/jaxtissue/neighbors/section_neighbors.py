@@ -18,16 +18,16 @@ LAYERS = plan_layers(2, check=False)  # on which lists are proved; the surfaces 
 
 
 class SectionNeighbors(eqx.Module):
-    """The candidates that can bound each cell on a domain: `NeighborList.allocate` gives these where it is no `Tube`.
+    """Neighbor list of a domain other than `Tube`, as returned by `NeighborList.allocate`.
 
-    A list is complete where no corner of a cell's section is nearer to a backbone that is not listed.
+    The list is complete if no corner of a section of a cell is nearer to a backbone that is not listed.
 
     Attributes:
-        candidates: Numbers of the candidates of each cell, padded with -1, [n, k]. Number e is a copy of backbone
-            e mod n beyond a period; the first n are the backbones themselves.
-        domain: The domain that the backbones stand in.
-        unproved: At how many corners a neighbor may be missing, since more backbones are near than were looked at.
-        slots: How many edges a section has room for.
+        candidates: Indices of the candidates of each cell, padded with -1, shape [n, k]. Index e denotes backbone e mod
+            n; indices of n and above denote its periodic images.
+        domain: The domain.
+        unproved: Number of corners for which the search was too short to rule out a missing neighbor. Static.
+        slots: Maximum number of edges per section. Static.
 
     >>> import jax
     >>> from jaxtissue.geometry.shapes import Slab
@@ -46,17 +46,17 @@ class SectionNeighbors(eqx.Module):
     @staticmethod
     @usual_modes()
     def allocate(positions: Any, domain: Domain) -> "SectionNeighbors":
-        """The complete list of a tissue, on the host.
+        """Build the complete neighbor list of a tissue. Runs on the host; not jittable.
 
         Args:
-            positions: The positions of the backbones, [n, d], in any form that NumPy reads as numbers.
-            domain: The domain that they stand in.
+            positions: Coordinates of the backbones, array-like of shape [n, 2], or unit vectors of shape [n, 3].
+            domain: The domain.
 
         Returns:
-            The list. A warning tells where a neighbor may be missing from it.
+            The list. A warning is issued if a neighbor may be missing.
 
         Raises:
-            ValueError: If positions are refused: not finite, outside the domain, or two of them one.
+            ValueError: If a position is not finite, lies outside the domain, or coincides with another.
         """
         found = find_sections(domain, as_domain_positions(positions, domain), LAYERS)
         if found.unproved:
@@ -66,17 +66,17 @@ class SectionNeighbors(eqx.Module):
 
     @usual_modes()
     def covers(self, positions: Float[Array | np.ndarray, "n d"]) -> bool:
-        """Whether the list is still complete for a tissue that moved; on the host.
+        """Test whether the list is still complete after backbones have moved. Runs on the host; not jittable.
 
         Args:
-            positions: The positions of the backbones, [n, d].
+            positions: Coordinates of the backbones, shape [n, 2], or unit vectors of shape [n, 3].
 
         Returns:
-            One truth value.
+            True if the list is complete.
 
         Raises:
-            TypeError: If the positions are traced: the proof looks for the nearest backbones by a tree.
-            ValueError: If the number of backbones is not that of the list.
+            TypeError: If the positions are traced.
+            ValueError: If the number of backbones differs from the number of cells of the list.
         """
         if isinstance(positions, Tracer):
             raise TypeError(f"lists on a {type(self.domain).__name__} are checked on the host; do so outside of jit")
@@ -88,16 +88,16 @@ class SectionNeighbors(eqx.Module):
 
     @usual_modes()
     def update(self, positions: Any) -> "SectionNeighbors":
-        """This list where it covers the positions, else one allocated anew; on the host.
+        """Return this list if it is complete for the given positions, or else a new list. On the host; not jittable.
 
         Args:
-            positions: The positions of the backbones, [n, d].
+            positions: Coordinates of the backbones, array-like of shape [n, 2], or unit vectors of shape [n, 3].
 
         Returns:
-            A list that is complete for them.
+            A list that is complete for `positions`; the same object if it still was.
 
         Raises:
-            ValueError: If positions are refused.
+            ValueError: If a position is not finite, lies outside the domain, or coincides with another.
         """
         place = as_domain_positions(positions, self.domain)
         return self if len(place) == len(self) and self.covers(place) else SectionNeighbors.allocate(place, self.domain)

@@ -1,4 +1,8 @@
-"""Measuring whole tissues: the sizes of all cells, once, or again and again while the tissue moves."""
+"""Measurement of whole tissues: once (`measure_tissue`), or repeatedly while backbones move (`CellMeasurer`).
+
+"The paper" is Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone
+Spreads", GRAPP 2025.
+"""
 
 import functools
 import math
@@ -57,34 +61,37 @@ def measure_tissue(
     tolerance: float | None = None,
     refine: bool = True,
 ) -> CellGeometry:
-    """Measure every cell of a tissue, with bounds of the errors (paper, section 3.1).
+    """Measure volume, areas and perimeters of every cell of a tissue, with estimated errors (paper, section 3.1).
 
-    Neighbor lists are grown on the host until the cells tile every line, so this takes concrete arrays; inside `jit`
-    call `measure_cells`. Where the errors may be above 1 % of the mean volume or 5 % of the mean lateral area, edges
-    are traced as by `find_connectivity`, and the cells are measured within them, in 64 bits, to about 1e-5. A tissue of
-    up to 64 cells is traced as a whole, whatever the resolution, and so is any tissue for a `tolerance` below 1 %: this
-    takes about a millisecond for each cell. Warns, naming the worst cells, where errors above the limits are left, and
-    where the volumes do not add up to the tube's.
+    In a `Tube` cells are measured by quadrature on lines parallel to the axis, at two resolutions whose difference
+    gives the error estimates. Cells whose estimated error exceeds 1 % of the mean volume or 5 % of the mean lateral
+    area are measured again by tracing the edges of the Voronoi diagram in float64, to a relative error of about 1e-5.
+    Tissues of up to 64 cells are always traced completely, and so are all tissues if `tolerance` is below 0.01; this
+    takes about 1 ms per cell. On other domains cells are measured as polygons on layers of constant height, and errors
+    come from a second quadrature rule with one layer less.
+
+    Neighbor lists are built on the host, so this function is not jittable; see `tissue_energy` for a jittable function.
+    A warning lists the worst cells if errors above the limits remain, or if the volumes do not add up to that of the
+    domain.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes; on other domains
-            than a tube their coordinates, [n, 2], or unit vectors, [n, 3].
-        domain: The tube that the backbones stand in, or any other domain. There cells are measured by sections on
-            layers of constant height, by two rules whose difference gives the errors.
-        resolution: How finely cells are measured: a preset or layers and lines.
-        surfaces: Whether areas and perimeters on the apical and basal surface are measured too.
-        tolerance: The largest error that is asked for, as a fraction of the mean volume and of the mean lateral area.
-        refine: Whether errors are estimated and cells beyond the limits measured anew. Without it all cells are
-            measured at the resolution alone, with no errors and no warnings.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+        domain: The tube or other domain.
+        resolution: "draft", "standard" (the default) or "fine", or a `Resolution`.
+        surfaces: Whether to measure areas and perimeters on the apical and basal surface. Defaults to True.
+        tolerance: Largest acceptable error, as a fraction of the mean volume and of the mean lateral area; only for a
+            `Tube`. Defaults to None, which means 0.01 for volumes and 0.05 for lateral areas.
+        refine: Whether to estimate errors and to measure again the cells that exceed the limits. Defaults to True. With
+            False, cells are measured at `resolution` only, faster, without error estimates or warnings.
 
     Returns:
-        The sizes of each cell. `volume_error` and `lateral_area_error` bound the errors of most cells, not of all.
-        `tiling_defect` is the largest relative error of the cells' lengths summed along a line: 0 to rounding, as lists
-        are grown until it is or until they hold all cells, and 0 where the whole tissue is traced. On other domains it
-        is that of the sections of all cells, summed over a layer.
+        A `CellGeometry` with arrays of shape [n]. `volume_error` and `lateral_area_error` are None if `refine` is
+        False. `tiling_defect` is 0 if the whole tissue was traced.
 
     Raises:
-        ValueError: If `as_positions` refuses the positions, or if the tolerance is not positive.
+        ValueError: If a position is not finite, lies outside the domain or coincides with another, if `tolerance` is
+            not positive, or if it is given for a domain other than `Tube`.
 
     >>> tube = Tube(length=12, apical_radius=1, basal_radius=3)
     >>> cells = measure_tissue(tube.random_positions(jax.random.key(0), 40), tube)
@@ -156,19 +163,19 @@ class Kept(NamedTuple):
 
 
 class CellMeasurer:
-    """Measures a tissue that moves, on short neighbor lists that are kept as long as they lack no neighbor.
+    """Measure the cells of a tube repeatedly while backbones move, reusing short neighbor lists.
 
-    Every cell is compared with the 22 candidates on each side (more for more than 500 cells) that could bound it
-    soonest. The lengths of the cells are summed along lines, as by `measure_tissue`; where the sum shows that a
-    neighbor is missing, the lists are found anew, and the cells are measured on the new lists (paper, section 3.1).
+    Use `CellMeasurer` in a simulation loop; for a single measurement with error estimates use `measure_tissue`. Each
+    cell is compared only with the 22 candidates on either side (a few more in tissues of more than 500 cells) that are
+    closest to bounding it. The lists are rebuilt when a check shows that a neighbor is missing.
 
     Args:
-        tube: The tube that the backbones stand in.
-        resolution: How finely cells are measured: a preset or layers and lines.
-        surfaces: Whether areas and perimeters on the apical and basal surface are measured too.
+        tube: The tube.
+        resolution: "draft", "standard" (the default) or "fine", or a `Resolution`.
+        surfaces: Whether to measure areas and perimeters on the apical and basal surface. Defaults to False.
 
     Attributes:
-        num_rebuilds: How often lists were found anew, the first time included.
+        num_rebuilds: Number of times that the neighbor lists were built, including the first.
 
     >>> tube = Tube(length=12, apical_radius=1, basal_radius=3)
     >>> positions = tube.random_positions(jax.random.key(0), 40)
@@ -186,18 +193,19 @@ class CellMeasurer:
 
     @usual_modes()
     def measure(self, positions: Positions, check: bool = True) -> CellGeometry:
-        """Measure all cells of the tissue where it is now.
+        """Measure all cells at the given positions. Not jittable.
 
         Args:
-            positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-            check: Whether the sum along lines checks the lists. Without it the caller must know that they hold, as they
-                do after small moves.
+            positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+                columns `axial` and `angle`.
+            check: Whether to test that no neighbor is missing, and to rebuild the neighbor lists if one is. Defaults to
+                True. With False, the caller must ensure that backbones have moved only a little since the last check.
 
         Returns:
-            The sizes of each cell, without bounds of their errors.
+            A `CellGeometry` with arrays of shape [n], without error estimates.
 
         Raises:
-            ValueError: If `as_positions` refuses the positions.
+            ValueError: If a position is not finite, lies outside the tube, or coincides with another.
         """
         positions = as_positions(positions, self.tube)
         kept, lacks = self._kept, True
@@ -209,7 +217,7 @@ class CellMeasurer:
 
     @property
     def neighbors(self) -> NeighborList | None:
-        """The short neighbor list that is kept, or None before the first measurement."""
+        """The current short neighbor list, or None before the first measurement."""
         return self._kept.neighbors if self._kept else None
 
     def _renew(self, positions: Positions) -> Kept:
