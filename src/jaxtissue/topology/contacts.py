@@ -1,4 +1,8 @@
-"""Contacts: the pairs of cells that share a wall, measured from the edges that bound the walls."""
+"""Contacts: the pairs of cells that share a wall, measured from the edges that bound the walls.
+
+"The paper" is Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone
+Spreads", GRAPP 2025.
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,20 +24,21 @@ ROUNDOFF = 1e-10  # of the mean wall: smaller ones are rounding
 
 @dataclass(frozen=True)
 class Contacts:
-    """The pairs of cells that share a wall (paper, section 4.4), a < b, in order.
+    """Contacts of a tissue: all pairs of cells that share a wall (paper, section 4.4), sorted.
 
     Attributes:
-        cells: n, the number of cells.
-        pairs: The two cells of each contact, [m, 2].
-        area: The area of each wall, [m], in the unit of the tube's lengths squared.
-        apical_length: The length of its edge on the apical surface, [m], in the unit of the tube's lengths; 0 where it
-            has none.
-        basal_length: The same on the basal surface, [m].
-        kind: One of `KINDS` for each contact, [m], by the surfaces that it reaches: "apical_basal" both, "apical" or
-            "basal" only that one, "internal" neither.
-        pieces: The number of connected pieces of each wall, [m].
-        area_error: An estimate of the error of each area, [m], from two rules; None in a `Tube`, where areas are right
-            to about 1e-6 of the mean wall.
+        cells: Number of cells n.
+        pairs: Indices a < b of the two cells of each contact, shape [m, 2].
+        area: Area of the wall of each contact, in squared length units, shape [m].
+        apical_length: Length of the edge of the wall on the apical surface, in length units, shape [m]. 0 if the wall
+            does not reach this surface.
+        basal_length: Length of the edge of the wall on the basal surface, in length units, shape [m]. 0 if the wall
+            does not reach this surface.
+        kind: Surfaces that each wall reaches, strings, shape [m]: "apical_basal" (both), "apical" (only the apical
+            one), "basal" (only the basal one) or "internal" (neither).
+        pieces: Number of connected components of each wall, shape [m].
+        area_error: Estimated absolute error of each area, shape [m], from the difference of two quadrature rules. None
+            for a `Tube`, in which areas are accurate to about 1e-6 of the mean wall area.
     """
 
     cells: int
@@ -46,13 +51,14 @@ class Contacts:
     area_error: Float[np.ndarray, " m"] | None = None
 
     def degree(self, *kinds: str) -> Int[np.ndarray, " n"]:
-        """The number of neighbors of each cell.
+        """Count the neighbors of each cell.
 
         Args:
-            *kinds: The kinds of contacts that are counted; all if none is given.
+            *kinds: Kinds of contacts to count: "apical_basal", "apical", "basal" or "internal". Without arguments all
+                contacts count.
 
         Returns:
-            The numbers, [n].
+            Number of neighbors of each cell, shape [n].
 
         >>> find_contacts([[2, 0], [3, 0], [3, 3.1]], Tube(5, 1, 2)).degree("apical_basal").tolist()
         [2, 2, 2]
@@ -92,23 +98,26 @@ def find_contacts(
     edges: EdgeGraph | None = None,
     faces: Faces | None = None,
 ) -> Contacts:
-    """Find all pairs of cells with a common wall, its area, its edges on the surfaces, its kind and its pieces.
+    """Find all pairs of cells of a tube that share a wall, and measure the walls (paper, section 4.4).
 
-    Edges are traced in 64 bits, and areas are integrals round the rims of the walls, right to about 1e-6 of the mean
-    wall. Walls without a width, between cells that meet in a line, as on a lattice, are left out (paper, section 4.4).
+    `find_connectivity` returns these contacts along with transition points, and supports all domains. Edges of the
+    Voronoi diagram are traced in float64; areas are accurate to about 1e-6 of the mean wall area. Walls of zero width,
+    between cells that meet only along a line as on a regular lattice, are omitted.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        tube: The tube that the backbones stand in.
-        threshold: Walls with less than this fraction of the mean wall area are left out.
-        edges: The edges of this tissue, where they have been traced before.
-        faces: The faces of these edges, where they have been measured before.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`.
+        tube: The tube.
+        threshold: Omit walls smaller than this fraction of the mean wall area. Defaults to 0.
+        edges: Internal: edges of this tissue from an earlier tracing. Defaults to None.
+        faces: Internal: faces of `edges` from an earlier call. Defaults to None.
 
     Returns:
-        The contacts, in the order of their cells.
+        The `Contacts`, sorted by pair.
 
     Raises:
-        ValueError: If `as_positions` refuses the positions, or if the threshold is negative or not a number.
+        ValueError: If a position is not finite, lies outside the tube or coincides with another, or if `threshold` is
+            negative or NaN.
 
     >>> contacts = find_contacts([[2, 0], [3, 0], [3, 3.1]], Tube(5, 1, 2))
     >>> contacts.pairs.tolist(), contacts.kind.tolist()

@@ -1,4 +1,8 @@
-"""Laws of connectivity: the growth of neighbors with the surface ratio, and the bounds that tightness sets."""
+"""Laws of connectivity: number of neighbors as a function of the surface ratio, and the bounds set by the tightness.
+
+"The paper" is Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone
+Spreads", GRAPP 2025.
+"""
 
 import math
 import warnings
@@ -22,20 +26,19 @@ EXTREME = 50.0  # ln of a surface ratio that no tissue has
 
 @dataclass(frozen=True)
 class NeighborLaw:
-    """The mean number of neighbors as a logistic function of ln s, s = R_b / R_a the surface ratio.
+    """Mean number of neighbors as a logistic function of ln s, where s = R_b / R_a is the surface ratio.
 
-    N(s) = low + (high - low) / (1 + exp(-steepness (ln s - ln middle))); "Flintstones' law" (paper,
-    section 4.4, Fig. 12).
+    N(s) = low + (high - low) / (1 + exp(-steepness (ln s - ln middle))), called "Flintstones' law" (paper, section 4.4,
+    Fig. 12).
 
     Attributes:
-        low: The limit of N as s goes to 0.
-        high: The limit of N as s grows without bound.
-        middle: The surface ratio at which N is half way between the limits.
-        steepness: The steepness in ln s, without a unit.
-        standard_errors: The standard errors of the four parameters by name; not numbers for as many points as
-            parameters.
-        residual: The root mean square of the differences to the points.
-        r2: The fraction of the variance that the law explains.
+        low: Limit of N for s -> 0.
+        high: Limit of N for s -> infinity.
+        middle: Surface ratio at which N is halfway between `low` and `high`.
+        steepness: Steepness with respect to ln s, dimensionless.
+        standard_errors: Standard errors of the four parameters, by name; NaN if only four points were fitted.
+        residual: Root-mean-square residual of the fit.
+        r2: Coefficient of determination: fraction of the variance explained by the law.
 
     >>> NeighborLaw(6, 10, 5, 1, {}, 0, 1).predict([5, 1e9]).round(3).tolist()
     [8.0, 10.0]
@@ -50,10 +53,10 @@ class NeighborLaw:
     r2: float
 
     def predict(self, ratios: Float[ArrayLike, "..."]) -> Float[np.ndarray, "..."]:
-        """The mean number of neighbors at surface ratios.
+        """Compute the mean number of neighbors at given surface ratios.
 
         Args:
-            ratios: R_b / R_a, above 0, of any shape.
+            ratios: Surface ratios R_b / R_a, greater than 0, of any shape.
 
         Returns:
             N(s), of the same shape.
@@ -65,18 +68,19 @@ class NeighborLaw:
 
 
 def fit_neighbor_law(ratios: Float[ArrayLike, " k"], neighbors: Float[ArrayLike, " k"]) -> NeighborLaw:
-    """Fit the neighbor law by least squares, each point with the same weight (paper, section 4.4, Fig. 12).
+    """Fit the logistic neighbor law to mean numbers of neighbors by unweighted least squares (paper, Fig. 12).
 
     Args:
-        ratios: The surface ratios R_b / R_a, [k], at least four different ones.
-        neighbors: The mean number of neighbors at each, [k].
+        ratios: Surface ratios R_b / R_a, greater than 0, shape [k], with at least four different values.
+        neighbors: Mean number of neighbors at each ratio, shape [k].
 
     Returns:
-        The law, with standard errors.
+        A `NeighborLaw` with fields `low`, `high`, `middle`, `steepness`, `standard_errors`, `residual` and `r2`, and a
+        method `predict(ratios)`.
 
     Raises:
-        ValueError: If there are fewer than four ratios, if values are not finite or ratios not above 0, or if no
-            logistic function fits the points, such as points that do not level off.
+        ValueError: If there are fewer than four different ratios, if a value is not finite or a ratio is not positive,
+            or if no logistic function fits, for example because `neighbors` does not level off.
 
     >>> law = fit_neighbor_law([1, 2, 5, 10, 50], NeighborLaw(6, 10, 5, 1, {}, 0, 1)([1, 2, 5, 10, 50]))
     >>> round(law.low, 3), round(law.high, 3), round(law.middle, 3), round(law.steepness, 3)
@@ -124,21 +128,23 @@ def bound_ratios(
 ) -> list[dict[str, Any]]:
     """Compare a tissue with the bounds of Lemma 1, Lemma 2 and Corollary 1 (paper, section 2).
 
-    The measured value is the largest number, over the cells, of neighbors, or of other cells within `hops` contacts.
-    Corollary 1 gives an order only; it is taken with the constant of Lemma 2, 4 (2 h phi + 1/2)^2.
+    The measured value is the maximum, over the cells, of the number of neighbors (Lemmas 1 and 2) or of the number of
+    other cells within h contacts (Corollary 1). Corollary 1 gives only the order O(phi^2 h^2); here its limit is 4 (2 h
+    phi + 1/2)^2, with the constant of Lemma 2.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        tube: The tube that the backbones stand in.
-        connectivity: The result of `find_connectivity` for this tissue.
-        hops: The numbers of contacts, h, that Corollary 1 is tried for.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`.
+        tube: The tube.
+        connectivity: Result of `find_connectivity` for this tissue.
+        hops: Numbers of contacts h for which to evaluate Corollary 1. Defaults to (1, 2, 3).
 
     Returns:
-        A row for each bound, with `bound`, `hops`, `measured`, `limit`, `ratio` = measured / limit, which is at most 1,
-        and `tightness`, phi.
+        One dictionary per bound, with keys `bound` ("Lemma 1", "Lemma 2" or "Corollary 1"), `hops`, `measured`,
+        `limit`, `ratio` (measured / limit, at most 1 if the bound holds) and `tightness` (phi).
 
     Raises:
-        ValueError: If `as_positions` refuses the positions.
+        ValueError: If a position is not finite, lies outside the tube, or coincides with another.
 
     >>> from jaxtissue import find_connectivity
     >>> place, tube = [[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2)

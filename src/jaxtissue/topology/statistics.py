@@ -1,4 +1,8 @@
-"""Statistics of contacts: neighbors by kind, scutoids, polygon classes, the contact graph."""
+"""Connectivity statistics: neighbors by kind, scutoids, polygon classes, contact graph.
+
+"The paper" is Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone
+Spreads", GRAPP 2025.
+"""
 
 import math
 from collections.abc import Mapping
@@ -23,17 +27,21 @@ SURFACES = {"apical": ("apical_basal", "apical"), "basal": ("apical_basal", "bas
 
 @dataclass(frozen=True)
 class Connectivity:
-    """The contacts, transition points, forms and sizes of the cells of a tissue.
+    """Contacts, transition points, topology and geometry of the cells of a tissue, as returned by `find_connectivity`.
 
     Attributes:
-        contacts: The pairs of cells that share a wall.
-        transitions: The transition points.
-        forms: Which cells go round the lumen, and the number of pieces of each cell.
-        is_end: Whether each cell touches an end of the tissue, x = 0 or x = L in a tube, [n].
-        sizes: The sizes of all cells, in 64 bits; None where edges could not be followed, and on other domains.
-        stretch_anisotropy: The ratio of the larger to the smaller stretch from the apical to the basal surface at each
-            backbone, (1 + k_1 h) / (1 + k_2 h) or its inverse for curvatures k_1 and k_2, [n]; None for a `Tube`, where
-            it is R_b / R_a throughout.
+        contacts: Pairs of cells that share a wall, a `Contacts`.
+        transitions: Transition points, with fields `points` (Cartesian coordinates, shape [k, 3]), `cells` (the four
+            cells that meet at each, shape [k, 4]), `per_cell` (number per cell, shape [n]), `is_scutoid` (shape [n]),
+            `open_ends` and `height`.
+        forms: Topology of the cells, with fields `is_ring` (whether a cell encircles the lumen, shape [n]) and `pieces`
+            (number of connected components of a cell, shape [n]).
+        is_end: Whether each cell touches an end of the domain (in a tube x = 0 or x = L), booleans, shape [n].
+        sizes: Volume, areas and perimeters of each cell in float64, with the per-cell fields of `CellGeometry`. None if
+            an edge could not be traced, and for domains other than `Tube`.
+        stretch_anisotropy: Ratio of the larger to the smaller principal stretch from the apical to the basal surface at
+            each backbone, shape [n]: (1 + k_1 h) / (1 + k_2 h) or its inverse, with the principal curvatures k_1 and
+            k_2 of the apical surface. None for a `Tube`, in which it is R_b / R_a everywhere.
     """
 
     contacts: Contacts
@@ -47,30 +55,30 @@ class Connectivity:
 def find_connectivity(
     positions: Float[ArrayLike, "n d"], domain: Tube | Domain, threshold: float = 0.0
 ) -> Connectivity:
-    """Find which cells touch, and where they exchange neighbors along their height (paper, section 4.4).
+    """Find which cells share a wall, and where they exchange neighbors between the surfaces (paper, section 4.4).
 
-    Beside contacts and transition points this gives the form of each cell (whether it goes all the way round the lumen,
-    and the number of its connected parts), whether it touches an end of the tube, and its size. In a `Tube` all come
-    from one tracing of the edges of the Voronoi diagram, in 64 bits.
+    In a `Tube`, the edges of the Voronoi diagram are traced in float64. They yield contacts, transition points, cells
+    that encircle the lumen, connected components of cells, and the geometry of all cells.
 
-    On other domains the cells of the apical surface are followed up to the basal one, layer by layer, in 64 bits. Where
-    four cells exchange neighbors, their transition point is found by Newton's method; layers are added until every
-    change between two of them is explained by such points, and a warning counts those that are not. Cells that go all
-    the way round, and parts of cells that are cut off, are not followed there.
+    On other domains, the vertices of the cells on the apical surface are followed through layers of constant height to
+    the basal surface, in float64, and transition points are located by Newton's method. Layers are refined until
+    transition points explain every change between consecutive layers; a warning gives the number of unexplained
+    changes, if any. There, `forms.is_ring` is False, `forms.pieces` is 1 and `sizes` is None for all cells.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes; on other domains
-            than a tube their coordinates, [n, 2], or unit vectors, [n, 3].
-        domain: The tube that the backbones stand in, or any other domain.
-        threshold: Walls smaller than this fraction of the mean wall area are left out of the contacts; no other result
-            depends on it.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+        domain: The tube or other domain.
+        threshold: Omit walls smaller than this fraction of the mean wall area from `contacts`; other results do not
+            depend on it. Defaults to 0.
 
     Returns:
-        The results, in one record.
+        A `Connectivity`.
 
     Raises:
-        ValueError: If `as_positions` refuses the positions, if the threshold is negative or not a number, or, on other
-            domains than a `Tube`, if a cell goes all the way round or touches its own copy.
+        ValueError: If a position is not finite, lies outside the domain or coincides with another, or if `threshold` is
+            negative or NaN. On domains other than `Tube`, also if a cell encircles the domain or shares a wall with its
+            own periodic image.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> len(four.contacts.pairs), four.transitions.per_cell.tolist(), four.is_end.tolist()
@@ -93,17 +101,18 @@ def find_connectivity(
 
 
 def tabulate_connectivity(connectivity: Connectivity) -> dict[str, np.ndarray]:
-    """The columns that connectivity adds to the table of cells (paper, section 4.4).
+    """Tabulate contacts and transition points per cell (paper, section 4.4).
 
     Args:
-        connectivity: The result of `find_connectivity`.
+        connectivity: Result of `find_connectivity`.
 
     Returns:
-        Columns [n] by name. `neighbors` counts all neighbors of a cell. `apical_basal_neighbors`, `apical_neighbors`,
-        `basal_neighbors` and `internal_neighbors` split them by the surfaces that the common wall reaches: both, the
-        apical one only, the basal one only, or neither. `transitions` counts the transition points of the cell, and
-        `is_scutoid` tells whether it has any. `is_ring` tells whether the cell goes all the way round the lumen, and
-        `pieces` is the number of its connected parts. On other domains than a `Tube` there is `stretch_anisotropy`.
+        Mapping from column name to an array of shape [n]. `neighbors` is the number of neighbors of each cell;
+        `apical_basal_neighbors`, `apical_neighbors`, `basal_neighbors` and `internal_neighbors` count neighbors by the
+        surfaces that the common wall reaches (both, only the apical, only the basal, neither). `transitions` is the
+        number of transition points of the cell, `is_scutoid` whether it is at least 1. `is_ring` is whether the cell
+        encircles the lumen, `pieces` its number of connected components. `stretch_anisotropy` is present for domains
+        other than `Tube`.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> tabulate_connectivity(four)["neighbors"].tolist()
@@ -120,17 +129,20 @@ def tabulate_connectivity(connectivity: Connectivity) -> dict[str, np.ndarray]:
 
 
 def summarize_connectivity(connectivity: Connectivity, inner_only: bool = False) -> dict[str, float]:
-    """Means over the cells of neighbors, degrees and transition points, and fractions of cells (paper, section 4.4).
-
-    `identity_residual` is mean neighbors - mean apical degree - mean transition points / 2. It is 0 where no cell wraps
-    round the lumen, no two cells touch twice, and no threshold or end leaves out a part.
+    """Average contacts and transition points over the cells of a tissue (paper, section 4.4).
 
     Args:
-        connectivity: The result of `find_connectivity`.
-        inner_only: Whether cells that touch an end of the tube are left out.
+        connectivity: Result of `find_connectivity`.
+        inner_only: Whether to leave out cells that touch an end of the domain. Defaults to False.
 
     Returns:
-        Values by name; `transitions_max` is the largest count of a cell. All are not numbers where no cell is left.
+        Mapping from name to number; all values are NaN if no cell is left. `neighbors`, `apical_basal_neighbors`,
+        `apical_neighbors`, `basal_neighbors`, `internal_neighbors` and `transitions` are means of the columns of
+        `tabulate_connectivity`; `transitions_max` is a maximum. `apical_degree` and `basal_degree` are mean numbers of
+        neighbors on one surface. Fractions of cells are `scutoid_fraction`, `internal_fraction` (at least one internal
+        neighbor), `ring_fraction` and `detached_fraction` (more than one connected component). `identity_residual` is
+        `neighbors` - `apical_degree` - `transitions` / 2, which is 0 if no cell encircles the lumen, no two cells touch
+        twice, and no part of the diagram is cut off by a threshold or by an end of the domain.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> summary = summarize_connectivity(four)
@@ -160,25 +172,26 @@ def polygon_classes(
     surface: str = "apical",
     inner_only: bool = True,
 ) -> dict[str, np.ndarray]:
-    """Group cells by their number of sides on a surface: how many, how large, and with how many-sided neighbors.
+    """Group cells by their number of sides, for the laws of Lewis and of Aboav and Weaire.
 
-    A side is a neighbor that touches on the surface. m(n) is the mean number of sides over all pairs of a cell with n
-    sides and a neighbor. Section 4.4 of the paper counts neighbors by surface; the laws of Lewis and Aboav-Weaire are
-    not in it.
+    The number of sides of a cell on a surface is the number of its neighbors there. m(n) denotes the mean number of
+    sides of the neighbors of cells with n sides. These laws are not part of the paper.
 
     Args:
-        connectivity: The result of `find_connectivity`.
-        areas: The areas of the cells on the surface, [n], in any unit.
-        surface: "apical" or "basal", or "all" for neighbors anywhere.
-        inner_only: Whether cells that touch an end of the tube, which lack sides, are left out, also as neighbors.
+        connectivity: Result of `find_connectivity`.
+        areas: Area of each cell on the surface, in any unit, shape [n].
+        surface: Surface on which neighbors are counted: "apical" (the default), "basal", or "all" for neighbors
+            anywhere.
+        inner_only: Whether to leave out cells that touch an end of the domain, also as neighbors. Defaults to True.
 
     Returns:
-        Columns with a row for each number of `sides`, rising: `count` and `fraction` of the cells; `relative_area`,
-        mean area / mean area of all cells (Lewis); `neighbor_sides`, m(n), not a number where there is no neighbor; and
-        `sides_times_neighbor_sides`, n m(n) (Aboav-Weaire: linear in n).
+        Mapping from column name to an array with one entry per number of sides, in increasing order: `sides`; `count`
+        and `fraction` of the cells; `relative_area`, their mean area divided by that of all cells (Lewis's law);
+        `neighbor_sides`, m(n), NaN if there is no neighbor; `sides_times_neighbor_sides`, n m(n) (linear in n by the
+        Aboav-Weaire law).
 
     Raises:
-        ValueError: If the surface is unknown, or if the areas are not one for each cell.
+        ValueError: If `surface` is unknown, or if `areas` does not have shape [n].
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> table = polygon_classes(four, [1, 1, 2, 2], inner_only=False)
@@ -207,17 +220,21 @@ def polygon_classes(
 
 
 def tissue_graph(connectivity: Connectivity, columns: Mapping[str, np.ndarray] | None = None) -> nx.Graph:
-    """The contact graph of a tissue: a node for each cell and an edge for each contact (paper, section 4.4).
+    """Build the contact graph of a tissue: one node per cell, one edge per contact (paper, section 4.4).
 
-    All attributes are plain Python values, so that `networkx.write_graphml` and similar functions take the graph.
+    All attributes are plain Python values, so the graph can be written by `networkx.write_graphml` and similar
+    functions.
 
     Args:
-        connectivity: The result of `find_connectivity`.
-        columns: Values of each cell, [n] by name; the columns of `tabulate_connectivity` if None.
+        connectivity: Result of `find_connectivity`.
+        columns: Mapping from attribute name to an array of shape [n], one value per cell. Defaults to the output of
+            `tabulate_connectivity`.
 
     Returns:
-        The graph. Nodes have the values of `columns`; edges have `area`, `apical_length`, `basal_length`, `kind` and
-        `pieces`.
+        Undirected graph with nodes 0 to n - 1. Node attributes are those of `columns`. Edge attributes are `area` of
+        the wall, `apical_length` and `basal_length` of its edges on the surfaces, `kind` ("apical_basal", "apical",
+        "basal" or "internal": the surfaces that the wall reaches), and `pieces`, the number of connected components of
+        the wall.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> graph = tissue_graph(four)

@@ -1,4 +1,8 @@
-"""Transition points and scutoids, and the cells that wrap round the lumen or fall into parts."""
+"""Transition points and scutoids, and cells that encircle the lumen or consist of several components.
+
+"The paper" is Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone
+Spreads", GRAPP 2025.
+"""
 
 from dataclasses import dataclass
 
@@ -19,14 +23,14 @@ GAP = 1e-9  # of R_b: a gap in a silhouette that is no error of rounding
 
 @dataclass(frozen=True)
 class Transitions:
-    """The transition points of a tissue: points with four nearest backbones, on no surface (paper, section 4.4).
+    """Transition points of a tissue: interior points with four equally near nearest backbones (paper, section 4.4).
 
     Attributes:
-        points: Their Cartesian coordinates, [k, 3], in the unit of the tube's lengths.
-        cells: The four cells that meet at each, [k, 4], sorted.
-        per_cell: The number of transition points of each cell, [n].
-        open_ends: The number of edges that could not be followed; if it is not 0, points may be missing.
-        height: How far up each is, [k], 0 on the apical and 1 on the basal surface; None in a `Tube`.
+        points: Cartesian coordinates, in length units, shape [k, 3].
+        cells: Indices of the four cells that meet at each point, sorted, shape [k, 4].
+        per_cell: Number of transition points of each cell, shape [n].
+        open_ends: Number of edges that could not be followed. If it is not 0, transition points may be missing.
+        height: Height h of each point, 0 on the apical and 1 on the basal surface, shape [k]. None for a `Tube`.
     """
 
     points: Float[np.ndarray, "k 3"]
@@ -37,17 +41,17 @@ class Transitions:
 
     @property
     def is_scutoid(self) -> Bool[np.ndarray, " n"]:
-        """Whether each cell is a scutoid, that is, has a transition point, [n]."""
+        """Whether each cell is a scutoid, that is, has at least one transition point; booleans, shape [n]."""
         return self.per_cell > 0
 
 
 @dataclass(frozen=True)
 class CellForms:
-    """The forms of cells that are not a single column from the apical to the basal surface.
+    """Topology of the cells of a tissue.
 
     Attributes:
-        is_ring: Whether each cell, at some radius, goes all the way round the lumen, [n].
-        pieces: The number of pieces of each cell, [n]: 1, and more for a cell with detached parts.
+        is_ring: Whether each cell encircles the lumen at some radius, booleans, shape [n].
+        pieces: Number of connected components of each cell, shape [n]. More than 1 for a cell with a detached part.
     """
 
     is_ring: Bool[np.ndarray, " n"]
@@ -60,24 +64,29 @@ def find_transitions(
     edges: EdgeGraph | None = None,
     faces: Faces | None = None,
 ) -> Transitions:
-    """Find all transition points, d_a = d_b = d_c = d_d <= every other distance, with R_a < r < R_b and 0 < x < L.
+    """Find all transition points of a tube: interior points with four nearest backbones (paper, section 4.4).
 
-    They are the vertices of four cells at which the edges of the diagram end (paper, section 4.4), right to about 1e-14
-    of the tube's size, by Newton's method in 64 bits. Points on the surfaces and at the ends of the tube are not
-    counted. Where four cells meet all along a line, as on a square lattice, there is none. The frame is x along the
-    axis, y = r cos(angle), z = r sin(angle).
+    At a transition point, d_a = d_b = d_c = d_d <= the distance to every other backbone, R_a < r < R_b and 0 < x < L.
+    `find_connectivity` returns these points along with contacts, and supports all domains. Points are located by
+    Newton's method in float64, to about 1e-14 of the size of the tube. Points on the surfaces and at the ends of the
+    tube do not count, nor do lines along which four cells meet, as on a square lattice. Cartesian coordinates are x
+    along the axis, y = r cos(angle) and z = r sin(angle).
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        tube: The tube that the backbones stand in.
-        edges: The edges of this tissue, where they have been traced before.
-        faces: The faces of these edges, where they have been measured before.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`.
+        tube: The tube.
+        edges: Internal: edges of this tissue from an earlier tracing. Defaults to None.
+        faces: Internal: faces of `edges` from an earlier call. Defaults to None.
 
     Returns:
-        The points and their cells.
+        Transition points with fields `points` (Cartesian coordinates, shape [k, 3]), `cells` (the four cells that meet
+        at each point, shape [k, 4]), `per_cell` (number of points of each cell, shape [n]), `is_scutoid` (shape [n]),
+        `open_ends` (number of edges that could not be followed: if it is not 0, points may be missing) and `height`
+        (None).
 
     Raises:
-        ValueError: If `as_positions` refuses the positions.
+        ValueError: If a position is not finite, lies outside the tube, or coincides with another.
 
     >>> four = find_transitions([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> four.points.round(4).tolist(), four.cells.tolist()
