@@ -1,4 +1,8 @@
-"""Annealing in one call, the usual way to begin."""
+"""Annealing in one call, the usual way to begin.
+
+"The paper" is Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone
+Spreads", GRAPP 2025.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,14 +31,15 @@ Callback = Callable[[SweepRecord, Float[np.ndarray, "n d"]], Any]
 
 @dataclass(frozen=True, eq=False)
 class AnnealResult:
-    """The result of annealing (paper, section 4.3).
+    """Result of `anneal`.
 
     Attributes:
-        positions: (axial, angle) of each backbone after the last sweep, [n, 2], or what positions on the domain are.
-        cells: The sizes of the cells after it, with bounds of their errors, measured at `standard`. Lateral areas are
-            those of the walls themselves, without the weights of an adhesion.
-        records: A record of the initial state and one of each sweep.
-        model: The energy of the annealing.
+        positions: Axial position and angle in radians of each backbone after the last sweep, shape [n, 2]; on other
+            domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+        cells: Geometry of the cells after the last sweep with estimated errors, a `CellGeometry` measured at
+            "standard". Lateral areas are not weighted by an adhesion.
+        records: One `SweepRecord` for the initial state and one after each sweep.
+        model: Energy model of the run.
     """
 
     positions: Float[np.ndarray, "n d"]
@@ -44,11 +49,11 @@ class AnnealResult:
 
     @property
     def energies(self) -> Float[np.ndarray, "rows"]:
-        """The energy before the first sweep and after each, [sweeps + 1], at the resolution of the annealing."""
+        """Energy before the first sweep and after each, at the resolution of the annealing, shape [sweeps + 1]."""
         return np.array([record.energy for record in self.records])
 
     def to_pandas(self) -> Any:
-        """The records as a pandas `DataFrame`, a row for each sweep; raises `ImportError` without pandas."""
+        """Convert the records to a pandas `DataFrame` with one row per record. Raises ImportError without pandas."""
         return as_frame({name: [getattr(record, name) for record in self.records] for name in SweepRecord._fields})
 
     def __repr__(self) -> str:
@@ -79,29 +84,34 @@ def anneal(
     model: Model | None = None,
     callback: Callback | None = None,
 ) -> AnnealResult:
-    """Relax a tissue by independent-set Metropolis-Hastings sweeps (paper, sections 3.3 and 4.3).
+    """Run Metropolis-Hastings sweeps at constant temperature or with a schedule (paper, sections 3.3 and 4.3).
 
-    Shows a progress bar on a terminal. The same positions and seed give what `jaxtissue anneal` gives, to the bit.
+    Moves of independent sets of backbones are proposed and decided together (IS-MH). To minimize the energy, `relax` is
+    much faster (`Tube` only); to sample at several temperatures use `temper`; to stop and continue a run use
+    `Annealer`. The same positions and seed give the same result as the command `jaxtissue anneal`, bit for bit. A
+    progress bar is shown on a terminal.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], or what positions on the domain are, in any form that
-            `as_positions` takes.
-        domain: The tube or other domain that they stand in.
-        sweeps: Number of sweeps; in each, every cell makes one move.
-        temperature: T, in the unit of the energy: one number, or one for each sweep, [sweeps].
-        seed: The seed of the moves, 0 to 2^32 - 1.
-        resolution: How finely cells are measured during the sweeps: a preset or layers and lines.
-        model: The energy; the paper's by default, E = sum of K/2 (Vbar - V)^2 + Lambda A with K = 1, Lambda = 0.4.
-        callback: Called as `callback(record, positions)` after each sweep; ends the run if it returns a true value.
-            Sweeps are played up to ten at a time, so that up to nine more may have been played by then; they are left
-            out.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+        domain: The tube or other domain.
+        sweeps: Number of sweeps, each with one proposed move per cell. Defaults to 100.
+        temperature: Temperature T in energy units, at least 0: one number (default 2), or one per sweep, shape
+            [sweeps].
+        seed: Seed of the moves, 0 to 2^32 - 1. Defaults to 0.
+        resolution: "draft" (the default), "standard" or "fine", or a `Resolution`.
+        model: Energy model; see `tube_model`. Defaults to the paper's energy, E = sum of K/2 (Vbar - V_i)^2 + Lambda
+            A_i with K = 1 and Lambda = 0.4.
+        callback: Function `callback(record, positions)` called after each sweep, with a `SweepRecord` and the positions
+            of shape [n, 2] (or [n, 3]). A true return value ends the run; sweeps of the same span that have already
+            been computed, at most nine, are then discarded. Defaults to None.
 
     Returns:
-        The positions and cells after the last sweep, and a record of each sweep.
+        An `AnnealResult` with fields `positions`, `cells`, `records`, `model` and `energies`.
 
     Raises:
-        ValueError: If the positions, the temperature, the seed, or the energy are refused; the message names the
-            value and the remedy.
+        ValueError: If a position, `temperature`, `seed`, `sweeps`, `resolution` or the energy are invalid, or if the
+            model is not that of `domain`.
 
     >>> import jax
     >>> tube = Tube(length=12, apical_radius=1, basal_radius=3)

@@ -1,4 +1,4 @@
-"""The devices that JAX computes on: processor cores, each as one."""
+"""Devices of JAX: one per processor core."""
 
 import os
 
@@ -8,14 +8,16 @@ from jaxtissue.system.cores import usable_cores
 
 
 def use_cores(most: int) -> None:
-    """Let JAX see each processor core as a device, with one thread each.
+    """Make JAX expose each processor core as a separate single-threaded device.
 
-    A sweep is one small loop after another, over which threads wait for each other: two threads take a tenth longer
-    than one, and at times twice as long. JAX_NUM_CPU_DEVICES and NPROC, where they are set, are left as they are, and
-    nothing changes after JAX has computed anything: call this first.
+    This speeds up computations that are spread over devices, such as replicas that run together (`temper`), because
+    small loops run best on one thread each. Call it before anything else, as it has no effect once JAX is initialized.
+    The number of devices is min(number of usable cores, `most`), but at least 1. It is left unchanged if it has already
+    been set by `JAX_NUM_CPU_DEVICES` or `XLA_FLAGS`. The environment variable `NPROC`, the number of threads of XLA, is
+    set to 1 unless it has a value.
 
     Args:
-        most: The largest number of devices.
+        most: Maximum number of devices.
 
     >>> use_cores(2)  # doctest: +SKIP
     """

@@ -42,12 +42,13 @@ def renews_at(sweep: int) -> bool:
 
 
 class AnnealState(NamedTuple):
-    """The state of a run, from which it goes on to the same bits.
+    """State of a run between two sweeps, from which the run can be continued bit for bit.
 
     Attributes:
-        sweep: The number of sweeps done.
-        positions: (axial, angle) of each backbone, [n, 2], or what positions on the domain are, [n, d].
-        around: The room for the cells around each cell, as far as it has grown.
+        sweep: Number of sweeps done.
+        positions: Axial position and angle in radians of each backbone, shape [n, 2]; on other domains coordinates of
+            shape [n, 2] or unit vectors of shape [n, 3].
+        around: Internal: current size of the lists of cells around each cell.
     """
 
     sweep: int
@@ -56,26 +57,28 @@ class AnnealState(NamedTuple):
 
 
 class Annealer:
-    """Anneals a tissue by Metropolis-Hastings sweeps (paper, sections 3.2 and 3.3).
+    """Metropolis-Hastings sweeps in a loop of your own (paper, sections 3.2 and 3.3).
 
-    A run depends on the seed, the state it starts from and the kind of device alone. Between two rebuilds of the
-    neighbor lists it plays a span of sweeps; see `replays`.
+    `anneal` does the same in one call. Use `Annealer` to stop, save and continue a run, or to choose the algorithm. The
+    trajectory depends only on the arguments, the initial state and the kind of device. Neighbor lists are rebuilt and
+    checked after every span of up to ten sweeps.
 
     Args:
-        model: The energy; see `tube_model`.
-        resolution: How finely cells are measured: a preset or layers and lines.
-        algorithm: "is-mh", whose rounds are independent sets of moves, or "mh", with one move a round.
-        seed: The seed of the moves, 0 to 2^32 - 1.
-        temperatures: T of each sweep, [sweeps], in the unit of the energy.
-        conflicts: The rule of move independence. By "near" two moves conflict if one cell touches both movers, or could
-            if one moved by the mean length of a move; by "2-hop", "3-hop" and "4-hop" if their cells are within so many
-            contacts; by "8-phi" if their apical ends are closer than 8 covering radii, the paper's rule.
+        model: Energy model; see `tube_model`.
+        resolution: "draft", "standard" or "fine", or a `Resolution`.
+        algorithm: "is-mh", in which independent moves are decided together, or "mh", one move at a time in random
+            order.
+        seed: Seed of the moves, 0 to 2^32 - 1.
+        temperatures: Temperature T of each sweep, in energy units, at least 0, shape [sweeps].
+        conflicts: Rule by which two moves are not independent in "is-mh". "near" (the default): a cell touches both
+            moving cells, or would after a move of mean length. "2-hop", "3-hop", "4-hop": the cells are within 2, 3 or
+            4 contacts. "8-phi": the apical ends are closer than 8 covering radii, the paper's rule; `Tube` only.
 
     Attributes:
-        compile_seconds: The seconds that this annealer traced or waited for programs.
+        compile_seconds: Time spent so far on compilation, in seconds.
 
     Raises:
-        ValueError: If an argument cannot be run, such as an energy that overflows; `advance` raises it too.
+        ValueError: If an argument is invalid, or if the energy is not finite (also raised by `advance`).
 
     >>> import jaxtissue as jt
     >>> tube = jt.Tube(length=12, apical_radius=1, basal_radius=3)
@@ -119,14 +122,14 @@ class Annealer:
 
     @usual_modes()
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
-        """The state before the first sweep; warns where axial positions are too coarse for moves in this precision.
+        """Return the `AnnealState` before the first sweep. Warns if the floating-point precision is too low for the moves.
 
         Args:
-            positions: (axial, angle) of each backbone, [n, 2], or what the domain's positions are, in any form that
-                `as_positions` takes.
+            positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2]; on other
+                domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
 
         Raises:
-            ValueError: If `as_positions` refuses the positions, or if their number is not that of the model.
+            ValueError: If a position is invalid, or if the number of positions differs from that of the model.
         """
         domain = self.model.domain
         own = np.asarray(as_positions_on(positions, domain))
@@ -138,22 +141,22 @@ class Annealer:
         return AnnealState(0, own)
 
     def record(self, state: AnnealState) -> SweepRecord:
-        """Energy and settings of a state for which no sweep was run, as of the initial state: a `SweepRecord`."""
+        """Return a `SweepRecord` with the energy of a state, without running a sweep, as for the initial state."""
         return record_together([self], [state])[0]
 
     @usual_modes()
     def measure(self, positions: Float[np.ndarray, "n 2"]) -> CellGeometry:
-        """Volumes and lateral areas at positions [n, 2], with the resolution and adhesion of the annealing."""
+        """Measure volumes and lateral areas at positions [n, 2], with the resolution and adhesion of the annealing."""
         if self._on_domain:
             return self._on_domain.survey(positions, Batch()).state.cells.sizes
         (measured,) = survey_together([self._tissue(positions)], Batch())
         return measured.tissue.sizes
 
     def advance(self, state: AnnealState) -> Advance:
-        """Play the sweeps up to the next rebuild of the neighbor lists, or up to the last of the schedule.
+        """Run sweeps until the neighbor lists are rebuilt (after at most ten) or until the schedule ends.
 
         Returns:
-            The new state, a record of each sweep, and the positions after each, [sweeps, n, 2].
+            The new state, a list with one `SweepRecord` per sweep, and the positions after each sweep, [sweeps, n, 2].
         """
         return advance_together([self], [state])[0]
 

@@ -39,15 +39,15 @@ Scratch = TypeVar("Scratch")
 
 
 class SweepInfo(NamedTuple):
-    """The counts of a sweep (paper, section 3.3).
+    """Counts of one sweep, all scalars (paper, section 3.3).
 
     Attributes:
-        accepted: The number of moves accepted.
-        collisions: The number of moves put off because an earlier move of their round changes a cell that they change
-            too.
-        left_cell: The number of moves proposed out of their own cell.
-        rounds: The number of rounds played.
-        energy_change: The sum of the accepted local energy differences.
+        accepted: Number of accepted moves.
+        collisions: Number of moves deferred to an additional round of the same sweep, because they affect a cell
+            already affected by an earlier move in the same round.
+        left_cell: Number of proposals that would move the apical end of a backbone outside its current cell.
+        rounds: Number of rounds, including the additional ones.
+        energy_change: Sum of the energy differences of the accepted moves.
     """
 
     accepted: Int[Array, ""]

@@ -7,14 +7,14 @@ from jaxtyping import Float
 
 
 def constant_schedule(temperature: float, sweeps: int) -> Float[np.ndarray, "sweeps"]:
-    """The same temperature for every sweep (paper, section 4.3: T = 2).
+    """Return a schedule with the same temperature for every sweep (the paper uses T = 2, section 4.3).
 
     Args:
-        temperature: T, in the unit of the energy.
-        sweeps: The number of sweeps.
+        temperature: Temperature T, in energy units.
+        sweeps: Number of sweeps.
 
     Returns:
-        The temperature of each sweep, [sweeps].
+        Temperature of each sweep, shape [sweeps].
 
     >>> constant_schedule(2.0, 3).tolist()
     [2.0, 2.0, 2.0]
@@ -23,17 +23,15 @@ def constant_schedule(temperature: float, sweeps: int) -> Float[np.ndarray, "swe
 
 
 def geometric_schedule(first: float, last: float, sweeps: int) -> Float[np.ndarray, "sweeps"]:
-    """Temperatures that change by a constant factor from sweep to sweep, T_k = first (last / first)^(k / (sweeps - 1)).
-
-    Simulated annealing lowers them (paper, section 3.2).
+    """Return the geometric schedule T_k = first (last / first)^(k / (sweeps - 1)) of simulated annealing.
 
     Args:
-        first: The temperature of the first sweep, in the unit of the energy.
-        last: The temperature of the last sweep.
-        sweeps: The number of sweeps; a single sweep has the first temperature.
+        first: Temperature of the first sweep, in energy units, greater than 0.
+        last: Temperature of the last sweep, in energy units, greater than 0.
+        sweeps: Number of sweeps. With 1, the temperature is `first`.
 
     Returns:
-        The temperature of each sweep, [sweeps].
+        Temperature of each sweep, shape [sweeps].
 
     Raises:
         ValueError: If a temperature is not positive.

@@ -1,4 +1,8 @@
-"""One sweep as a pure function of a key and a state, from which other dynamics can be written."""
+"""One sweep as a pure function of a random key and a state, as a building block for custom dynamics.
+
+"The paper" is Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone
+Spreads", GRAPP 2025.
+"""
 
 from typing import Any, NamedTuple
 
@@ -22,13 +26,13 @@ from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution
 
 
 class SweepState(NamedTuple):
-    """A tissue between two sweeps: its backbones and cells, and the lists and lines that sweeps use.
+    """State of a tissue between two sweeps, from `init` or `step`.
 
     Attributes:
-        tissue: The backbones and the sizes of their cells.
-        neighbors: The short neighbor lists, which hold for about ten sweeps.
-        order: The independent sets of moves.
-        lines: The lines on which cells are measured.
+        tissue: Internal: backbones and geometry of their cells.
+        neighbors: Internal: short neighbor lists, valid for about ten sweeps.
+        order: Internal: partition of the cells into independent sets.
+        lines: Internal: quadrature lines.
     """
 
     tissue: TissueState
@@ -38,33 +42,35 @@ class SweepState(NamedTuple):
 
     @property
     def positions(self) -> Float[Array, "n 2"]:
-        """(axial, angle) of each backbone, [n, 2]."""
+        """Axial position and angle in radians of each backbone, shape [n, 2]."""
         return jnp.stack([self.tissue.place.axial, self.tissue.place.angle], axis=-1)
 
     @property
     def cells(self) -> CellGeometry:
-        """The sizes of the cells that the energy reads."""
+        """Geometry of the cells, a `CellGeometry` with the fields that the energy reads."""
         return self.tissue.sizes
 
 
 @usual_modes()
 def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -> SweepState:
-    """The state before the first sweep: cells measured, neighbor lists allocated, moves cut into independent sets.
+    """Create the state for `step`: cells measured, neighbor lists built, cells partitioned into independent sets.
 
-    The sets are those of the paper's section 3.3. This runs on the host. Lists hold for about ten sweeps of the default
-    moves; then call it again with `state.positions`, as `Annealer` does, which also checks that they have held.
+    Use `init` and `step` to write your own dynamics in JAX; to run a given number of sweeps use `anneal`. `init` runs
+    on the host and is not jittable. Neighbor lists stay valid for about ten sweeps of the default moves; then call
+    `init` again with `state.positions`. Nothing checks their validity in between (`anneal` and `Annealer` do).
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        model: The energy; see `tube_model`.
-        resolution: How finely cells are measured: a preset or layers and lines.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`.
+        model: Energy model of a `Tube`; see `tube_model`. Other domains are not supported.
+        resolution: "draft" (the default), "standard" or "fine", or a `Resolution`.
 
     Returns:
-        The state for `step`.
+        The state, with properties `positions` (shape [n, 2]) and `cells` (a `CellGeometry`).
 
     Raises:
-        ValueError: If `as_positions` refuses the positions, if their number is not the model's, or if the energy is not
-            one finite number for each cell.
+        ValueError: If a position is invalid, if the number of positions differs from that of the model, if the domain
+            is not a `Tube`, or if the energy is not one finite number per cell.
 
     >>> from jaxtissue.energy import tube_model
     >>> from jaxtissue.geometry.tube import Tube
@@ -95,19 +101,23 @@ def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -
 def step(
     key: PRNGKeyArray, state: SweepState, model: Model, temperature: float | Float[Array, ""] = 2.0
 ) -> tuple[SweepState, SweepInfo]:
-    """One sweep of independent-set Metropolis-Hastings (paper, section 3.3): one move for every cell.
+    """Run one sweep of independent-set Metropolis-Hastings, one proposed move per cell (paper, section 3.3).
 
-    The function is pure: it may be jitted, scanned, or vmapped over keys and states. `init` has an example.
+    `step` is a pure function: it can be used with `jax.jit`, `jax.lax.scan`, and `jax.vmap` over keys and states. See
+    `init` for the number of sweeps for which a state can be used.
 
     Args:
-        key: The random key of this sweep.
-        state: What `init` or the step before gave.
-        model: The energy, the same as for `init`.
-        temperature: T, in the unit of the energy; a move that costs dE > 0 is accepted with probability exp(-dE / T).
+        key: JAX random key for this sweep.
+        state: State from `init` or from the previous `step`.
+        model: Energy model, the same as for `init`.
+        temperature: Temperature T, in energy units, a scalar. A move with energy difference dE is accepted with
+            probability min(1, exp(-dE / T)). Defaults to 2.
 
     Returns:
-        The state after the sweep, and its counts: moves accepted, moves put off because they would change a cell that
-        an earlier move of their set changes, rounds played, the sum of accepted energy differences.
+        The state after the sweep, and scalar counts: `accepted` moves; `collisions`, moves deferred to an additional
+        round of the same sweep because they affect a cell already affected by an earlier move in their round;
+        `left_cell`, proposals outside the current cell; `rounds`; and `energy_change`, the sum of the accepted energy
+        differences.
     """
     shape, dtype = state.tissue.wide.shape, state.tissue.reach.dtype
     draws = jax.random.uniform(key, (3, *shape), dtype)

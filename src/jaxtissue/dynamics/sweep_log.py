@@ -42,23 +42,26 @@ class Measured(NamedTuple):
 
 
 class SweepRecord(NamedTuple):
-    """The record of one sweep: the tissue after it, and the counts of its moves (paper, sections 3.2 and 3.3).
+    """Record of one sweep: energy of the tissue after the sweep, and counts of its moves (paper, sections 3.2 and 3.3).
 
     Attributes:
-        sweep: The number of the sweep, from 1; 0 for the initial state.
-        energy: The energy of the tissue after the sweep.
-        volume_energy: The volume term, the sum of K/2 (Vbar - V_i)^2.
-        area_energy: The area term, the sum of Lambda A_i.
-        temperature: T of the sweep, in the unit of the energy.
-        acceptance: The fraction of the proposed moves that were accepted, 0 to 1.
-        rounds: The number of rounds that were played.
-        collisions: The number of moves that were put off because an earlier move of their round changes a cell that
-            they change too.
-        seconds: The time of the sweep, without compiling; the time of replicas that run together is shared out among
-            them.
-        left_cell: The number of moves that were proposed out of their own cell.
-        drift: The relative difference between the energy that local differences carried along and the energy measured
-            anew with new neighbor lists; 0 where lists were not renewed after the sweep.
+        sweep: Number of the sweep, starting at 1; 0 for the initial state.
+        energy: Energy of the tissue after the sweep.
+        volume_energy: Volume term of the paper's energy, sum of K/2 (Vbar - V_i)^2; also reported if the model has
+            another `cell_energy`.
+        area_energy: Area term of the paper's energy, sum of Lambda A_i; also reported if the model has another
+            `cell_energy`.
+        temperature: Temperature T of the sweep, in energy units; that of the first sweep for the initial state.
+        acceptance: Acceptance rate: fraction of the proposed moves that were accepted, 0 to 1.
+        rounds: Number of rounds, each a set of moves that were decided together.
+        collisions: Number of moves deferred because they affect a cell already affected by an earlier move in the same
+            round. Deferred moves are tried in additional rounds at the end of the same sweep.
+        seconds: Wall time of the sweep without compilation. For replicas that run together, the total divided equally
+            among the replicas.
+        left_cell: Number of proposals that would move the apical end of a backbone outside its current cell. The paper
+            excludes them; here they are accepted or rejected like all others.
+        drift: Relative difference between the incrementally updated energy and a full recomputation on new neighbor
+            lists; 0 after sweeps without a recomputation.
     """
 
     sweep: int

@@ -1,4 +1,4 @@
-"""Parallel tempering: replicas at several temperatures exchange their tissues, so that none stays in one valley."""
+"""Parallel tempering (replica exchange): replicas at different temperatures exchange configurations."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -19,16 +19,16 @@ Callback = Callable[[Sequence[SweepRecord], Float[np.ndarray, "replicas n d"]], 
 
 @dataclass(frozen=True, eq=False)
 class TemperResult:
-    """The result of parallel tempering.
+    """Result of parallel tempering.
 
     Attributes:
-        temperatures: T of each replica, from low to high, [replicas].
-        positions: (axial, angle) of the backbones at each temperature after the last sweep, [replicas, n, 2], or what
-            positions on the domain are.
-        energies: The energy at each temperature before the first sweep and after each, [sweeps + 1, replicas].
-        origins: From which replica at the start the tissue at each temperature has come, [sweeps + 1, replicas].
-        swaps: The fraction of the proposed exchanges between each temperature and the next that were accepted,
-            [replicas - 1].
+        temperatures: Temperature of each replica, in increasing order, shape [replicas].
+        positions: Positions at each temperature after the last sweep, shape [replicas, n, 2]; on other domains
+            [replicas, n, d].
+        energies: Energy at each temperature before the first sweep and after each sweep, shape [sweeps + 1, replicas].
+        origins: Trajectories through the temperatures, shape [sweeps + 1, replicas]: `origins[k, i]` is the initial
+            replica whose tissue is at temperature i after sweep k.
+        swaps: Acceptance rate of the exchanges between each temperature and the next, shape [replicas - 1].
     """
 
     temperatures: Float[np.ndarray, "replicas"]
@@ -54,35 +54,43 @@ def temper(
     algorithm: str = "mh",
     callback: Callback | None = None,
 ) -> TemperResult:
-    """Sample a tissue at several temperatures at once, by parallel tempering.
+    """Sample a tissue at several temperatures at once by parallel tempering (replica exchange).
 
-    Every temperature has a replica of the tissue. Between spans of up to ten sweeps, replicas that are next to each
-    other in temperature exchange their tissues with the probability min(1, exp((1/T_i - 1/T_j) (E_i - E_j))), at even
-    and at odd places in turn (Swendsen and Wang, Phys. Rev. Lett. 57, 2607, 1986). At each temperature tissues are then
-    found as often as exp(-E / T) says. Cold replicas leave valleys by way of the hot ones. All replicas run in one
-    compiled program; the same arguments give the same bits. Shows a progress bar on a terminal.
+    Each replica samples the Boltzmann distribution exp(-E / T) at its temperature. After every span of up to ten
+    sweeps, replicas at adjacent temperatures exchange their tissues with probability min(1, exp((1/T_i - 1/T_j) (E_i -
+    E_j))), alternating even and odd pairs (Swendsen and Wang, Phys. Rev. Lett. 57, 2607, 1986), so that cold replicas
+    can escape from local minima. To minimize the energy, use `relax`; for a single temperature or a cooling schedule,
+    use `anneal`.
+
+    On a `Tube` all replicas run in one compiled program. The same arguments give the same result bit for bit. A
+    progress bar is shown on a terminal.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], or what positions on the domain are, in any form that
-            `as_positions` takes; or a start for each replica, [replicas, n, 2].
-        model: The energy, with the tube or other domain; see `tube_model`.
-        temperatures: T of each replica, from low to high, in the unit of the energy, [replicas]. Exchanges are accepted
-            now and then if each is the one before times about 1 + 2 / sqrt(n).
-        sweeps: Number of sweeps of each replica.
-        seed: The seed of moves and exchanges, 0 to 2^32 - 1.
-        resolution: How finely cells are measured: a preset or layers and lines.
-        algorithm: "mh", one move at a time in random order, or "is-mh", independent moves together, which is faster for
-            more than about 50 cells. Its rounds are chosen from the tissue at the start of each span, so that it
-            samples exp(-E / T) only nearly.
-        callback: Called as `callback(records, positions)` after each sweep, with the record of each replica and
-            positions [replicas, n, 2]; ends the run if it returns a true value.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2], used as the initial
+            state of every replica, or one initial state per replica, shape [replicas, n, 2]. On other domains
+            coordinates [n, 2] or unit vectors [n, 3].
+        model: Energy model; see `tube_model`.
+        temperatures: Temperature T of each replica, in energy units, at least two positive values in increasing order,
+            shape [replicas]. For a reasonable exchange rate, space temperatures geometrically with ratio about 1 + 2 /
+            sqrt(n).
+        sweeps: Number of sweeps of each replica. Defaults to 100.
+        seed: Seed of moves and exchanges, 0 to 2^32 - 1. Defaults to 0.
+        resolution: "draft" (the default), "standard" or "fine", or a `Resolution`.
+        algorithm: "mh" (the default), one move at a time in random order, or "is-mh", in which independent moves are
+            decided together. "is-mh" is faster for more than about 50 cells, but samples exp(-E / T) only
+            approximately, because the partition into independent sets depends on the tissue at the start of each span.
+        callback: Function `callback(records, positions)` called after each sweep, with a list of one `SweepRecord` per
+            replica and the positions of shape [replicas, n, 2] (or [replicas, n, d]), both in order of temperature. A
+            true return value ends the run. Defaults to None.
 
     Returns:
-        Positions, energies and the tissues' ways from temperature to temperature.
+        Record with fields `temperatures` (shape [replicas]), `positions` (shape [replicas, n, 2]), `energies` and
+        `origins` (shape [sweeps + 1, replicas]) and `swaps` (acceptance rate of exchanges between adjacent
+        temperatures, shape [replicas - 1]). `origins[k, i]` is the initial replica whose tissue is at temperature i
+        after sweep k.
 
     Raises:
-        ValueError: If the positions, the temperatures, the seed, or the energy are refused; the message names the
-            value and the remedy.
+        ValueError: If a position, the temperatures, `sweeps`, `seed`, `algorithm` or the energy are invalid.
 
     >>> import jaxtissue as jt
     >>> model = jt.tube_model(jt.Tube(length=12, apical_radius=1, basal_radius=3), 2)

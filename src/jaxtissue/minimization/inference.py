@@ -1,8 +1,8 @@
-"""Inference by force balance: the tension and the target volumes that hold a relaxed tissue where it is.
+"""Inference by force balance: tension and target volumes for which a given tissue is at a minimum of its energy.
 
-The tissue is taken to be at a minimum of E = sum of K/2 (T_i - V_i)^2 + Lambda A_i. There no backbone feels a force,
-and the forces, sum of (V_i - T_i) dV_i/dx + Lambda/K dA/dx, are linear in Lambda/K and in the target volumes T_i.
-Volumes add up to that of the tube, so that one number added to all T_i changes no force.
+The tissue is assumed to be at a minimum of E = sum of K/2 (T_i - V_i)^2 + Lambda A_i. There the force on every backbone
+vanishes, and the forces, sum of (V_i - T_i) dV_i/dx + Lambda/K dA/dx, are linear in Lambda/K and in the target volumes
+T_i. The volumes sum to that of the tube, so adding a constant to all T_i does not change the forces.
 """
 
 import warnings
@@ -37,15 +37,16 @@ SAME = 1e-4  # of walls' areas and heights, below which forces do not tell param
 
 @dataclass(frozen=True, eq=False)
 class InferredParameters:
-    """The parameters that balance the forces on the backbones best, with standard errors.
+    """Parameters inferred by force balance, with standard errors.
 
     Attributes:
-        tension: Lambda, for the modulus that was given.
-        tension_error: Its standard error, 0 where the tension was given.
-        target_volumes: T of each type, in the order of the types, [types]; over all cells their mean is |D| / n.
-        target_volume_errors: Their standard errors, [types]; 0 for one type.
-        noise: How far positions would have to be off, as a standard deviation in each direction on the mean surface, to
-            explain the forces that are left.
+        tension: Lambda, for the given modulus K.
+        tension_error: Standard error of `tension`; 0 if the tension was given.
+        target_volumes: Target volume of each type, in sorted order of the type labels, shape [types]. Their mean over
+            all cells is the mean cell volume.
+        target_volume_errors: Standard errors of the target volumes, shape [types]; 0 if there is one type only.
+        noise: Standard deviation, in length units, of random displacements of the backbones (in each direction on the
+            surface midway between apical and basal) that would explain the residual forces.
     """
 
     tension: float
@@ -111,37 +112,40 @@ def infer_parameters(
     inner_only: bool = False,
     resolution: Resolution | str = "standard",
 ) -> InferredParameters:
-    """Infer the tension, and target volumes by type, of a relaxed tissue from its positions alone, by force balance.
+    """Infer the tension and target volumes of a relaxed tissue from its positions alone, by force balance.
 
-    At a minimum of E = sum of K/2 (T_i - V_i)^2 + Lambda A_i the forces on the backbones vanish. They are linear in
-    Lambda / K and in T_i, which are found by least squares. Only these can be found: energies that differ by a common
-    factor have the same minima, so K is given; and as volumes add up, the mean of all T_i is set to |D| / n. Where
-    every cell has a target volume of its own, (V_i - T_i) K / Lambda is all that forces tell, and the tension has to be
-    given.
+    At a minimum of E = sum of K/2 (T_i - V_i)^2 + Lambda A_i the forces on all backbones vanish. The forces are linear
+    in Lambda / K and in the target volumes T_i, which are estimated by robust least squares (Tukey's biweight;
+    backbones with exceptionally large wall forces are left out). Two quantities cannot be inferred: energies that
+    differ by a factor have the same minima, so K must be given; and since the volumes sum to that of the tube, the mean
+    of all T_i is set to the mean cell volume. If every cell has its own target volume, forces determine only (V_i -
+    T_i) K / Lambda, so the tension must be given.
 
-    The fit is robust, since measured forces are wrong where two cells pass each other along the axis. Standard errors
-    are those by random errors of the positions, alike in all directions, that are as large as the forces left over ask
-    for; how far such noise shifts the parameters counts too, as it makes tensions look weaker. So errors also show how
-    far a tissue is from a minimum, as one in an image or at a temperature is.
+    Standard errors assume independent random errors of the positions, as large as needed to explain the residual
+    forces, and include the bias that such errors cause (an underestimated tension). They are therefore large for
+    tissues that are far from a minimum, such as segmented images or tissues at a finite temperature.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        tube: The tube that they stand in.
-        types: The type of each cell, [n]: any labels; cells of one type have one target volume. None for one type,
-            `np.arange(n)` for a target volume of every cell.
-        tension: Lambda, if it is known.
-        modulus: K, which sets the unit of energy.
-        adhesion: How much walls count by the types of their two cells; see `Adhesion`.
-        inner_only: Whether only those backbones count whose cells and neighbors touch no end, as where a tissue goes on
-            beyond the tube.
-        resolution: How finely forces are measured: a preset or layers and lines.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`.
+        tube: The tube.
+        types: Type of each cell, labels of any kind, shape [n]; all cells of one type share a target volume. Defaults
+            to None: one type. `np.arange(n)` gives every cell its own target volume.
+        tension: Lambda, if known. Defaults to None: the tension is inferred.
+        modulus: K, greater than 0; sets the unit of energy. Defaults to 1.
+        adhesion: An `Adhesion`, which weights walls by the types of their two cells. Defaults to None.
+        inner_only: Whether to use only backbones that influence no cell at an end of the tube, for a tissue that
+            continues beyond the tube. Defaults to False.
+        resolution: "draft", "standard" (the default) or "fine", or a `Resolution`.
 
     Returns:
-        The parameters with their standard errors, and the noise of the positions. Warns if that is above 0.05 mean cell
-        widths.
+        Record with fields `tension`, `tension_error`, `target_volumes` and `target_volume_errors` (shape [types]) and
+        `noise` (displacements of the backbones that would explain the residual forces, a length). A warning is issued
+        if `noise` exceeds 0.05 mean cell widths.
 
     Raises:
-        ValueError: If positions, types or numbers are refused, or if forces do not tell the parameters.
+        ValueError: If a position is invalid, if `types` does not have shape [n], if `modulus` is not positive or
+            `tension` not finite, or if the forces do not determine the parameters.
 
     >>> tube = Tube(length=12.0, apical_radius=1.0, basal_radius=3.0)
     >>> infer_parameters([[3.0, 0.0], [8.0, 1.0]], tube, types=[0, 1])

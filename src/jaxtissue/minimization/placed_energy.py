@@ -24,14 +24,15 @@ RELAXED = "relaxed"
 
 
 class RelaxRecord(NamedTuple):
-    """The tissue at a check of the neighbor lists.
+    """State of a relaxation after one step, that is, one block of up to 15 iterations.
 
     Attributes:
-        step: The number of the check, 0 for the initial state.
-        evaluations: How often the tissue was measured by then: its energy and gradient, or its centroids.
-        energy: The energy.
-        gradient: The norm of its gradient, in the unit of energy per length on the mean surface.
-        seconds: The time since the start, without compiling.
+        step: Number of the step; 0 for the initial state.
+        evaluations: Number of evaluations so far of energy and gradient (for "lloyd": also of the centroids).
+        energy: Energy of the tissue.
+        gradient: Euclidean norm of the gradient of the energy, in energy per length on the surface midway between
+            apical and basal.
+        seconds: Wall time since the start, without compilation.
     """
 
     step: int

@@ -1,4 +1,4 @@
-"""Relaxation: a tissue goes down the gradient of its energy to a minimum, with neighbor lists renewed on the way."""
+"""Relaxation: minimization of the energy of a tissue by its gradient, with neighbor lists updated on the way."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -28,15 +28,17 @@ SHORTEST = 1e-3  # of REACH, the least to which steps are shortened where lists 
 
 @dataclass(frozen=True, eq=False)
 class RelaxResult:
-    """The result of a relaxation.
+    """Result of a relaxation.
 
     Attributes:
-        positions: (axial, angle) of each backbone, [n, 2].
-        energy: The energy there, at the resolution of the relaxation.
-        history: A record of each check of the neighbor lists.
-        converged: Whether the gradient, or by "lloyd" the moves, fell below the tolerance. If not, either the steps
-            were used up, or no step led down any more: the energy has kinks where walls open or close.
-        message: Why it ended.
+        positions: Relaxed axial position and angle in radians of each backbone, shape [n, 2].
+        energy: Energy at `positions`, at the resolution of the relaxation.
+        history: One `RelaxRecord` for the initial state and one after each step, with fields `step`, `evaluations`,
+            `energy`, `gradient` (norm of the gradient) and `seconds`.
+        converged: Whether the norm of the gradient (for "lloyd" the displacement) fell below the tolerance. If not,
+            either `steps` were used up, or the energy could not be lowered further. The latter is common, as the
+            discretized energy has kinks where walls appear or vanish.
+        message: Reason for which the relaxation ended.
     """
 
     positions: Float[np.ndarray, "n 2"]
@@ -46,7 +48,7 @@ class RelaxResult:
     message: str
 
     def to_pandas(self) -> Any:
-        """The history as a pandas `DataFrame`; raises `ImportError` without pandas."""
+        """Convert the history to a pandas `DataFrame` with one row per record. Raises ImportError without pandas."""
         return as_frame({name: [getattr(record, name) for record in self.history] for name in RelaxRecord._fields})
 
     def __repr__(self) -> str:
@@ -65,31 +67,37 @@ def relax(
     resolution: Resolution | str = "draft",
     callback: Callable[[RelaxRecord, Float[np.ndarray, "n 2"]], Any] | None = None,
 ) -> RelaxResult:
-    """Relax a tissue to a minimum of its energy by the gradient, which gets there much sooner than Metropolis.
+    """Minimize the energy of a tissue by its gradient.
 
-    Every 15 iterations the neighbor lists are checked and, where one lacks a neighbor, renewed; between two checks no
-    backbone moves by more than half a mean cell width. Shows a progress bar on a terminal.
+    `relax` descends to a nearby local minimum, much faster than Metropolis sweeps; use `anneal` or `temper` to sample
+    at a finite temperature. Neighbor lists are checked after each step, a block of up to 15 iterations in which no
+    backbone moves by much more than half a mean cell width. A progress bar is shown on a terminal.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        model: The energy; see `tube_model`.
-        method: "lbfgs", the quasi-Newton method with a line search for functions with kinks (Lewis and Overton 2013),
-            "fire", which follows the gradient with inertia (Bitzek et al. 2006), or "lloyd", which moves every backbone
-            to the centroid of its cell, whatever the energy: a quick start that makes cells compact and alike (Lloyd
-            1982). The centroid is the mean axial position of the cell and its mean direction from the axis.
-        steps: The most checks, each after 15 iterations at most.
-        tolerance: The norm of the gradient, as a fraction of that at the start, at which the tissue is relaxed; by
-            "lloyd" the root mean square of the moves, as a fraction of that of the first.
-        resolution: How finely cells are measured: a preset or layers and lines.
-        callback: Called as `callback(record, positions)` after each check; ends the relaxation if it returns a true
-            value.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`.
+        model: Energy model of a `Tube`; see `tube_model`. Other domains are not supported.
+        method: "lbfgs" (the default), a quasi-Newton method with a line search for nonsmooth functions (Lewis and
+            Overton 2013); "fire", gradient descent with inertia (Bitzek et al. 2006); or "lloyd", which moves every
+            backbone to the centroid of its cell and ignores the energy (Lloyd 1982). A few steps of "lloyd" are a good
+            start for "lbfgs". The centroid is the mean axial position of the cell and its mean direction from the axis.
+        steps: Maximum number of steps, each a block of up to 15 iterations. Defaults to 50. With 0 the energy is only
+            evaluated.
+        tolerance: Converged if the norm of the gradient falls to this fraction of its initial value; for "lloyd", if
+            the root-mean-square displacement per iteration falls to this fraction of that of the first iteration.
+            Greater than 0; defaults to 1e-6.
+        resolution: "draft" (the default), "standard" or "fine", or a `Resolution`.
+        callback: Function `callback(record, positions)` called for the initial state and after each step, with a
+            `RelaxRecord` and the positions of shape [n, 2]. A true return value ends the relaxation. Defaults to None.
 
     Returns:
-        The relaxed positions, the energy, and the history.
+        A record with fields `positions` (shape [n, 2]), `energy`, `history` (a list of records with `step`,
+        `evaluations`, `energy`, `gradient` and `seconds`), `converged` and `message`, and a method `to_pandas`.
 
     Raises:
-        ValueError: If the positions, the energy, the method or the numbers are refused; the message names the value and
-            the remedy.
+        ValueError: If a position is invalid or the number of positions differs from that of the model, if `method` is
+            unknown, if `steps` is negative or `tolerance` not positive, if the domain is not a `Tube`, or if the energy
+            or its gradient is not finite at the start.
 
     >>> import jax
     >>> from jaxtissue.energy import tube_model
