@@ -122,7 +122,7 @@ class Annealer:
 
     @usual_modes()
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
-        """Return the `AnnealState` before the first sweep. Warns if the floating-point precision is too low for the moves.
+        """Return the `AnnealState` before the first sweep. Warns if the precision is too low for the moves.
 
         Args:
             positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2]; on other
