@@ -1,10 +1,9 @@
-"""The exact path: cells of sampled backbones from Qhull, clipped exactly to the tube, in 64 bits on the host.
+"""Reference measurement of cells in float64 from Voronoi diagrams of sampled backbones (Qhull), clipped to the tube.
 
-On other domains it is that of `layer_cuts`.
-
-Each backbone is sampled at equally spaced points, both ends included. The Voronoi facets between samples of
-different backbones tile the walls of the cells; they are clipped in closed form. Slow and accurate: for tests
-and for checking the fast measures, not for dynamics.
+Each backbone of a tube is sampled at equally spaced points, both ends included. The Voronoi facets between samples of
+different backbones tile the walls of the cells; they are clipped in closed form. For other domains see `layer_cuts`.
+Slow and accurate: for tests and for checks of the fast measurement, not for dynamics. "The paper" is Buceta, Funke,
+Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone Spreads", GRAPP 2025.
 """
 
 from itertools import chain
@@ -28,13 +27,13 @@ A_LAYER = 3  # samples of a backbone for each layer, and for each triangle acros
 
 
 class ExactDiagram(NamedTuple):
-    """The cells of a tissue and the walls between them, as the exact path measures them.
+    """Cells of a tissue and the walls between them, as returned by `exact_cells`.
 
     Attributes:
-        volume: V_i, the volume of each cell, [n], in the unit of the lengths cubed.
-        lateral_area: A_i, the area of the walls of each cell with other cells, [n], in that unit squared.
-        pairs: The two cells a < b of each wall, [m, 2], sorted.
-        wall_area: The area of each wall, [m].
+        volume: V_i, volume of each cell, in cubed length units, shape [n].
+        lateral_area: A_i, area of the walls that each cell shares with other cells, in squared length units, shape [n].
+        pairs: Indices a < b of the two cells of each wall, sorted, shape [m, 2].
+        wall_area: Area of each wall, in squared length units, shape [m].
     """
 
     volume: Float64[np.ndarray, " n"]
@@ -67,32 +66,34 @@ class _Facets(NamedTuple):
 
 
 def exact_cells(positions: ArrayLike, domain: Tube | Domain, samples: int = 50) -> ExactDiagram:
-    """Measure cells by a Voronoi diagram of samples of the backbones, clipped exactly to the tube (paper, section 4.1).
+    """Measure cells by an independent reference method: a Voronoi diagram of sampled backbones (paper, section 4.1).
 
-    Slow and accurate, in 64 bits on the host: it checks the fast measurement. The volume of cell a is, by the
-    divergence theorem, V_a = int (x - x_a) n_x dA over the walls of a + (L - x_a) (area of its patch at x = L) + x_a
-    (area of its patch at x = 0). The area of a wall is the flux through its facets of N = (q_b - q_a) / |q_b - q_a|,
-    with q the feet on the two backbones: the facets zigzag around the wall and are larger. Only walls between cells
-    count. The volumes add up to the tube's for every number of samples, and the errors fall with its square.
+    Use it to check `measure_tissue`, which is much faster. In a `Tube`, each backbone is replaced by equally spaced
+    points, and the Voronoi diagram of all points (Qhull, float64) is clipped exactly to the tube. By the divergence
+    theorem, V_a = int (x - x_a) n_x dA over the walls of cell a + (L - x_a) (area of its face at x = L) + x_a (area of
+    its face at x = 0). The facets zigzag around the true wall, so the area of a wall is computed as the flux through
+    its facets of the unit vector N = (q_b - q_a) / |q_b - q_a|, with the nearest points q_a and q_b of the two
+    backbones. The volumes sum to that of the tube for any number of samples; errors decrease with the square of the
+    number of samples.
 
-    On other domains no backbones are sampled. There layers of Gauss-Legendre, samples / 3 of them, are cut into so many
-    triangles across the mean cell, whose corners have the label of the nearest backbone, and these are cut along the
-    walls between. Errors fall with the square of the samples too.
+    On other domains backbones are not sampled. Layers of constant height at `samples` / 3 Gauss-Legendre nodes are
+    divided into triangles, about `samples` / 3 across a mean cell, whose vertices are labeled by the nearest backbone;
+    triangles are then cut along the walls. Errors decrease with the square of `samples` here too.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes; on other domains
-            than a tube their coordinates, [n, 2], or unit vectors, [n, 3].
-        domain: The tube that the backbones stand in, or any other domain.
-        samples: The number of samples on each backbone, equally spaced, both ends included.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+        domain: The tube or other domain.
+        samples: Number of sample points per backbone, both ends included, at least 2. Defaults to 50.
 
     Returns:
-        Volumes, lateral areas and walls.
+        An `ExactDiagram` with fields `volume` and `lateral_area` (shape [n]), `pairs` (shape [m, 2]) and `wall_area`
+        (shape [m]).
 
     Raises:
-        ValueError: If `as_positions` refuses the positions, if backbones nearly coincide, if there are fewer than two
-            samples, or if the tube is longer than 10,000 R_b, for which Qhull is not precise enough: of 30 backbones
-            close together it gets volumes wrong by 3e-8 in a tube of 3e3 R_b, by 1e-6 in one of 1e4 R_b and by 0.5 % in
-            one of 3.3e4 R_b.
+        ValueError: If a position is not finite or lies outside the domain, if two backbones nearly coincide, if
+            `samples` is less than 2, or if the length of the tube exceeds 10,000 R_b, beyond which Qhull is not precise
+            enough.
 
     >>> tube = Tube(length=10, apical_radius=1, basal_radius=2)
     >>> exact = exact_cells([[2, 0], [5, 2], [8, 4]], tube)

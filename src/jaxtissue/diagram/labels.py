@@ -1,4 +1,8 @@
-"""The diagram by search: the backbones nearest to a point, and the volumes of the cells from them."""
+"""Nearest backbones of points by exhaustive search, label images, and volumes from labels.
+
+"The paper" is Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone
+Spreads", GRAPP 2025.
+"""
 
 from collections.abc import Sequence
 from functools import partial
@@ -24,23 +28,24 @@ _UNROLL = 8  # backbones tried per turn of the innermost loop: one per turn take
 def nearest_backbones(
     points: Float[Array, "p 3"], backbones: Backbones, count: int = 1, block: int = 16384
 ) -> tuple[Int[Array, "p {count}"], Float[Array, "p {count}"]]:
-    """Find the nearest backbones of each point, and their distances (paper, section 2.1).
+    """Find the nearest backbones of each point, and their distances, by exhaustive search (paper, section 2.1).
 
-    The distance is the exact one to the segment, min over q on the backbone of |p - q|, also straight through the
-    lumen. Of equally near backbones the one with the lower index comes first. Points are treated in blocks, so no array
-    of points x backbones is made; the time grows as points x backbones x count.
+    To find only the cell of each point, `label_points` is faster for many points. The distance is the exact Euclidean
+    distance to the segment, also across the lumen. Ties go to the lower index. Points are processed in blocks, so
+    memory does not grow with points x backbones; time grows with points x backbones x `count`. Jittable; `count` and
+    `block` are static.
 
     Args:
-        points: Cartesian coordinates, [p, 3], in the unit of the tube's lengths.
-        backbones: The backbones, as `Tube.embed` gives them.
-        count: How many backbones are found for each point.
-        block: How many points are treated at a time.
+        points: Cartesian coordinates, in length units, shape [p, 3].
+        backbones: Backbones, from `Tube.embed`.
+        count: Number of backbones to find for each point, 1 to the number of backbones. Defaults to 1.
+        block: Number of points per block. Defaults to 16384.
 
     Returns:
-        The indices of the nearest backbones, nearest first, [p, count], and their distances, [p, count].
+        Indices of the nearest backbones, nearest first, shape [p, count], and their distances, shape [p, count].
 
     Raises:
-        ValueError: If the count is below 1 or above the number of backbones.
+        ValueError: If `count` is less than 1 or greater than the number of backbones.
 
     >>> tube = Tube(length=10, apical_radius=1, basal_radius=2)
     >>> backbones = tube.embed(jnp.array([[2.0, 0.0], [5.0, 0.0], [9.0, 0.0]]))
@@ -65,18 +70,18 @@ def nearest_backbones(
 def label_volumes(
     labels: Int[Array, "p"], weights: Float[Array, "p"], count_cells: int
 ) -> Float[Array, "{count_cells}"]:
-    """The volume of each cell from labeled samples, V_i = sum of the weights of the samples with label i.
+    """Estimate the volume of each cell from labeled samples: V_i = sum of the weights of the samples with label i.
 
-    Together with `cylindrical_voxels` and `label_points` this measures cells by counting, less accurately than
-    `measure_tissue`; the paper samples the backbones instead (section 3.1).
+    With `cylindrical_voxels` and `label_points` this measures cells by counting voxels, less accurately than
+    `measure_tissue`.
 
     Args:
-        labels: The cell that holds each sample, [p].
-        weights: The volume that each sample stands for, [p].
-        count_cells: The number of cells.
+        labels: Index of the cell that contains each sample, shape [p].
+        weights: Volume that each sample represents, shape [p].
+        count_cells: Number of cells.
 
     Returns:
-        The volume of each cell, [cells], in the unit of the weights.
+        Volume of each cell, in the unit of `weights`, shape [count_cells].
 
     >>> label_volumes(jnp.array([0, 2, 0]), jnp.array([1.0, 2.0, 3.0]), 3).tolist()
     [4.0, 0.0, 2.0]
@@ -90,22 +95,24 @@ def label_volumes(
 def label_image(
     positions: Float[ArrayLike, "n 2"], tube: Tube, spacing: float | Sequence[float]
 ) -> UInt16[np.ndarray, "z y x"]:
-    """Draw the tissue as an image of cell labels, in the order (z, y, x): 0 outside, cell index + 1 inside.
+    """Render a tissue as a 3D label image with axes (z, y, x): 0 outside the tissue, cell index + 1 inside.
 
-    Voxels are laid out as in `image_mask`; each has the label of the cell that holds its center, the cell of the
-    nearest backbone (paper, section 2.1).
+    Each voxel has the label of the cell that contains its center (paper, section 2.1). Voxel [k, j, i] has its center
+    at x = (i + 1/2) dx, y = (j + 1/2 - ny/2) dy, z = (k + 1/2 - nz/2) dz, so the image starts at the end x = 0 of the
+    tube and is centered on its axis.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        tube: The tube that the backbones stand in.
-        spacing: The side of a cubic voxel, or its three sides (z, y, x), in the unit of the tube's lengths.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`.
+        tube: The tube.
+        spacing: Side of a cubic voxel, or the three sides (dz, dy, dx), in length units.
 
     Returns:
-        The image, [z, y, x], of 16-bit numbers.
+        Image of unsigned 16-bit integers, shape [z, y, x].
 
     Raises:
-        ValueError: If there are more cells than 16 bits can number, if `as_positions` refuses the positions, or if the
-            spacing is not positive or so wide that no center lies in the tissue.
+        ValueError: If there are more than 65,535 cells, if a position is not finite, lies outside the tube or coincides
+            with another, or if `spacing` is not positive or so large that no voxel center lies in the tissue.
 
     >>> label_image(jnp.array([[1.0, 0.0], [3.0, 0.0]]), Tube(4, 0.5, 2), 1.0)[2, 2].tolist()
     [1, 1, 2, 2]

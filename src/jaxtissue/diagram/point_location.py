@@ -60,21 +60,23 @@ class _Boxes(NamedTuple):
 def label_points(
     points: Float64[ArrayLike, "p 3"], positions: Float64[ArrayLike, "n 2"], tube: Tube
 ) -> Int32[np.ndarray, " p"]:
-    """Find the cell in which each point lies, that of the nearest backbone (paper, section 2.1).
+    """Find the cell that contains each point, that is, the cell of the nearest backbone (paper, section 2.1).
 
-    The distance is the exact one to the segment, also straight through the lumen. Of equally near backbones the one
-    with the lower index is taken. The time grows as points + backbones.
+    The distance is the exact Euclidean distance to the segment, also across the lumen. Ties go to the lower index. Time
+    grows with points + backbones. Runs on the host in float64; not jittable (see `nearest_backbones`).
 
     Args:
-        points: Cartesian coordinates, [p, 3], in the unit of the tube's lengths.
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        tube: The tube that the backbones stand in.
+        points: Cartesian coordinates, in length units, shape [p, 3].
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`.
+        tube: The tube.
 
     Returns:
-        The index of the cell that holds each point, [p].
+        Index of the cell that contains each point, shape [p]. Points outside the tissue also get the nearest backbone.
 
     Raises:
-        ValueError: If a point is not finite, or if `as_positions` refuses the positions.
+        ValueError: If a point is not finite, or if a position is not finite, lies outside the tube or coincides with
+            another.
 
     >>> two, tube = np.array([[2.0, 0.0], [5.0, 0.0]]), Tube(length=10, apical_radius=1, basal_radius=2)
     >>> label_points([[3.0, 1.5, 0.0], [4.0, 0.0, 1.5]], two, tube).tolist()

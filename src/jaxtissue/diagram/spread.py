@@ -1,4 +1,8 @@
-"""The spread of the backbones: separation, covering radius, and the bounds they set (paper, section 2.1)."""
+"""Spread of the backbones: separation, covering radius, tightness, and the bounds on neighbors that follow from them.
+
+"The paper" is Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone
+Spreads", GRAPP 2025; definitions are those of its section 2.1.
+"""
 
 import math
 
@@ -16,21 +20,21 @@ from jaxtissue.geometry.tube import Tube
 
 @usual_modes()
 def separation(positions: Float[ArrayLike, "n 2"], tube: Tube) -> Float[Array, ""]:
-    """The smallest distance between two backbones (paper, Definition 1).
+    """Compute the smallest distance between two backbones (paper, Definition 1).
 
-    Two radial segments are nearest at their apical ends, whatever the angle D between them:
-    distance^2 = dx^2 + (2 R_a sin(D/2))^2. Each backbone is compared with the next ones along the axis until these
-    are too far along the axis alone; memory is O(n).
+    Radial segments at an angle D to each other are nearest at their apical ends: distance^2 = dx^2 + (2 R_a
+    sin(D/2))^2. Jittable.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes; may be traced.
-        tube: The tube that the backbones stand in.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`. May be traced.
+        tube: The tube.
 
     Returns:
-        The distance, in the unit of the tube's lengths; infinite for a single backbone.
+        The distance, in length units, a scalar. Infinite if there is only one backbone.
 
     Raises:
-        ValueError: If `as_positions` refuses the positions.
+        ValueError: If a position is not finite, lies outside the tube, or coincides with another.
 
     >>> round(float(separation(jnp.array([[0.0, 0.0], [3.0, 0.0], [4.0, jnp.pi]]), Tube(9, 1, 2))), 4)
     2.2361
@@ -63,23 +67,24 @@ def _separation(positions: Float[Array, "n 2"], tube: Tube) -> Float[Array, ""]:
 
 @usual_modes()
 def covering_radius(positions: Float[ArrayLike, "n 2"], tube: Tube, tolerance: float = 4e-4) -> Float[np.ndarray, ""]:
-    """The largest distance from a point of the tissue to its nearest backbone (paper, Definition 1).
+    """Compute the largest distance from a point of the tissue to its nearest backbone (paper, Definition 1).
 
-    The distance to a radial backbone never falls on the way outwards, so the maximum is on the basal surface. The
-    distance changes by no more than the way gone: patches of that surface that may hold a larger distance than was
-    found are split, until none is left.
+    The maximum lies on the basal surface, as the distance to a radial backbone does not decrease outward. It is found
+    by branch and bound: patches of the basal surface that may contain a larger distance are subdivided. Not jittable.
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        tube: The tube that the backbones stand in.
-        tolerance: The relative error that is allowed.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`.
+        tube: The tube.
+        tolerance: Largest acceptable relative error, greater than 0. Defaults to 4e-4.
 
     Returns:
-        The distance, in the unit of the tube's lengths and the precision that JAX works in. It is attained at a point
-        of the tissue, so it is never too large, and too small by at most the relative `tolerance`.
+        The distance, in length units, a scalar. It is a lower bound of the true value, too small by at most the
+        relative error `tolerance`.
 
     Raises:
-        ValueError: If the tolerance is not positive, or if `as_positions` refuses the positions.
+        ValueError: If `tolerance` is not positive, or if a position is not finite, lies outside the tube or coincides
+            with another.
 
     >>> round(float(covering_radius(jnp.array([[5.0, 0.0]]), Tube(10, 1, 2))), 2)
     5.83
@@ -107,17 +112,18 @@ def covering_radius(positions: Float[ArrayLike, "n 2"], tube: Tube, tolerance: f
 
 @usual_modes()
 def tightness(positions: Float[ArrayLike, "n 2"], tube: Tube) -> Float[np.ndarray, ""]:
-    """The phi of a tight phi-backbone spread, covering radius / separation (paper, Definition 1).
+    """Compute the tightness phi = covering radius / separation of a backbone spread (paper, Definition 1).
 
     Args:
-        positions: (axial, angle) of each backbone, [n, 2], in any form that `as_positions` takes.
-        tube: The tube that the backbones stand in.
+        positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
+            columns `axial` and `angle`.
+        tube: The tube.
 
     Returns:
-        The ratio, without a unit; 0 for a single backbone.
+        phi, dimensionless, a scalar. 0 if there is only one backbone.
 
     Raises:
-        ValueError: If `as_positions` refuses the positions.
+        ValueError: If a position is not finite, lies outside the tube, or coincides with another.
 
     >>> round(float(tightness(jnp.array([[5.0, 0.0], [5.0, jnp.pi]]), Tube(10, 1, 2))), 2)
     2.74

@@ -1,4 +1,4 @@
-"""Samples of the diagram: voxels of the tissue and their volumes."""
+"""Voxels of the tissue, on cylindrical and Cartesian grids, and their volumes."""
 
 import math
 from collections.abc import Sequence
@@ -15,20 +15,21 @@ from jaxtissue.geometry.tube import Tube
 def cylindrical_voxels(
     tube: Tube, shape: tuple[int, int, int]
 ) -> tuple[Float[Array, "voxels 3"], Float[Array, "voxels"]]:
-    """The centers and exact volumes, r dx dr dt, of the voxels of an (axial, radial, angular) grid.
+    """Return centers and exact volumes r dx dr dtheta of the voxels of a cylindrical grid that fills the tissue.
 
-    The grid fills the tissue, so the volumes sum to `tube.volume`. Labeled by `label_points`, they measure cells by
-    counting; the paper samples the backbones instead (section 3.1).
+    The volumes sum to `tube.volume`. With `label_points` and `label_volumes` they measure cells by counting voxels.
 
     Args:
-        tube: The tube; its sizes may be traced.
-        shape: The numbers of voxels along the axis, in radius and in angle; not traced.
+        tube: The tube; its dimensions may be traced.
+        shape: Numbers of voxels along the axis, in radius and in angle, three integers of at least 1. Static under
+            `jax.jit`.
 
     Returns:
-        Cartesian centers, [voxels, 3], of which the angle runs fastest, and the volumes, [voxels].
+        Cartesian coordinates of the centers, shape [voxels, 3], with the angle varying fastest, and volumes, shape
+        [voxels].
 
     Raises:
-        ValueError: If the shape holds no voxel.
+        ValueError: If `shape` does not have three entries of at least 1.
 
     >>> points, volumes = cylindrical_voxels(Tube(1, 1, 3), (1, 2, 4))
     >>> points.shape, round(float(volumes.sum()), 3), round(Tube(1, 1, 3).volume, 3)
@@ -49,20 +50,21 @@ def cylindrical_voxels(
 def cartesian_voxels(
     tube: Tube, spacing: float | Sequence[float]
 ) -> tuple[Float[Array, "voxels 3"], Float[Array, "voxels"]]:
-    """The centers and volumes of the voxels whose centers lie in the tissue.
+    """Return centers and volumes of the voxels of a Cartesian grid whose centers lie in the tissue.
 
-    They are the `True` voxels of `image_mask(tube, spacing)`, in its order (x fastest). The sum of the volumes differs
-    from `tube.volume`, as voxels do not follow the surfaces.
+    The grid is that of `label_image`. Voxels do not follow the surfaces, so the sum of the volumes differs from
+    `tube.volume`. Not jittable.
 
     Args:
-        tube: The tube; its sizes must be known, not traced.
-        spacing: The side of a cubic voxel, or its three sides (z, y, x), in the unit of the tube's lengths.
+        tube: The tube.
+        spacing: Side of a cubic voxel, or the three sides (dz, dy, dx), in length units.
 
     Returns:
-        Cartesian centers, [voxels, 3], and the volumes, [voxels].
+        Cartesian coordinates (x, y, z) of the centers, shape [voxels, 3], with x varying fastest, and volumes, shape
+        [voxels].
 
     Raises:
-        ValueError: If the spacing is not positive, or so wide that no center lies in the tissue.
+        ValueError: If `spacing` is not positive, or so large that no voxel center lies in the tissue.
 
     >>> points, volumes = cartesian_voxels(Tube(2, 0.5, 2), 1.0)
     >>> points.shape, float(volumes.sum()), round(Tube(2, 0.5, 2).volume, 2)

@@ -1,4 +1,4 @@
-"""Where a domain lies in an image: the origin and the axes of its own coordinates."""
+"""Location of a domain in an image: origin and axes of its coordinate system."""
 
 from dataclasses import dataclass
 
@@ -8,15 +8,15 @@ from jaxtyping import Float
 
 @dataclass(frozen=True)
 class Frame:
-    """The place of a domain in an image, in the image's unit.
+    """Location of a domain in an image, in the length unit of the image.
 
-    Points of the image are (x, y, z), and the voxel (k, j, i) is centered at (i, j, k) times the sides of a voxel along
-    x, y and z. The point p of the domain lies at origin + p[0] axes[0] + p[1] axes[1] + p[2] axes[2].
+    Points of the image are (x, y, z); voxel [k, j, i] has its center at (i dx, j dy, k dz). Point p of the domain is at
+    origin + p[0] axes[0] + p[1] axes[1] + p[2] axes[2] in the image.
 
     Attributes:
-        origin: The origin of the domain in the image, (x, y, z), [3]; of a tube, the middle of the end at axial
+        origin: Origin of the domain in the image, (x, y, z), shape [3]. For a tube, the center of the end at axial
             position 0.
-        axes: The directions of the domain's x, y and z axes in the image, unit vectors in rows, [3, 3].
+        axes: Unit vectors along the x, y and z axes of the domain, in rows, shape [3, 3].
 
     >>> frame = Frame(np.array([1.0, 2.0, 3.0]), np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]))
     >>> frame.to_image(np.array([[5.0, 0, 0]])).tolist(), frame.to_domain(np.array([[1.0, 7, 3]])).tolist()
@@ -27,11 +27,11 @@ class Frame:
     axes: Float[np.ndarray, "3 3"]
 
     def to_domain(self, points: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "p 3"]:
-        """Coordinates in the domain of points of the image, [p, 3]."""
+        """Convert image coordinates to domain coordinates, shape [p, 3]."""
         return (points - self.origin) @ self.axes.T
 
     def to_image(self, points: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "p 3"]:
-        """Coordinates in the image of points of the domain, [p, 3]."""
+        """Convert domain coordinates to image coordinates, shape [p, 3]."""
         return points @ self.axes + self.origin
 
 

@@ -1,4 +1,4 @@
-"""Cells as an image of labels shows them: sizes, walls, neighbors and their kinds, without a model."""
+"""Measurement of cells in a label image, without a model: volumes, walls, neighbors and their kinds."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,21 +16,25 @@ KINDS = np.array(["internal", "apical", "basal", "apical_basal"])  # by surfaces
 
 @dataclass(frozen=True)
 class LabelCells:
-    """The cells of a label image, measured from its voxels alone; lengths have the unit of the spacing.
+    """Cells of a label image, measured from its voxels alone. Lengths are in the unit of the voxel spacing.
 
     Attributes:
-        labels: The label of each cell, rising, [n].
-        volume: Its volume, [n].
-        centroid: Its centroid, (x, y, z), [n, 3]; the voxel (k, j, i) is centered at (i, j, k) times its sides.
-        lateral_area: The area of its walls with other cells, [n].
-        apical_area: The area of its surface towards the lumen, [n], or None where the sides can't be told.
-        basal_area: The same towards the outside, [n].
-        at_border: Whether it has voxels at the border of the image, where it may be cut, [n].
-        pairs: The labels of each two cells that touch, the lower one first, [m, 2].
-        wall_area: The area of their wall, [m].
-        kind: Which surfaces the wall reaches, "apical_basal", "apical", "basal" or "internal", [m], or None.
-        sides: How apical and basal were told apart: "given", "components" of the background, "slices" in which the
-            lumen is enclosed, or None where they could not be.
+        labels: Label of each cell, in increasing order, shape [n].
+        volume: Volume of each cell, shape [n].
+        centroid: Centroid (x, y, z) of each cell, shape [n, 3]. Voxel [k, j, i] has its center at (i dx, j dy, k dz).
+        lateral_area: Area of the walls that each cell shares with other cells, shape [n].
+        apical_area: Area of each cell on the side of the lumen, shape [n]. None if the two sides cannot be
+            distinguished.
+        basal_area: Area of each cell on the outer side, shape [n]. None if the two sides cannot be distinguished.
+        at_border: Whether each cell has voxels at the border of the image, where it may be cut off, booleans, shape
+            [n].
+        pairs: Labels a < b of the two cells of each contact, shape [m, 2].
+        wall_area: Area of the wall of each contact, shape [m].
+        kind: Surfaces that each wall reaches, strings, shape [m]: "apical_basal" (both), "apical", "basal" or
+            "internal" (neither). None if the two sides cannot be distinguished.
+        sides: How apical and basal were distinguished: "given" (by the caller), "components" (the lumen is an enclosed
+            component of the background), "slices" (the lumen is enclosed in slices of the image), or None (not
+            distinguished).
     """
 
     labels: Int[np.ndarray, " n"]
@@ -47,16 +51,16 @@ class LabelCells:
 
     @property
     def neighbors(self) -> Int[np.ndarray, " n"]:
-        """The number of neighbors of each cell."""
+        """Number of neighbors of each cell, shape [n]."""
         return self._degree(np.ones(len(self.pairs), bool))
 
     @property
     def is_scutoid(self) -> Bool[np.ndarray, " n"] | None:
-        """Whether each cell has a neighbor that it does not touch on both surfaces; None where sides can't be told."""
+        """Whether each cell has a wall that does not reach both surfaces, shape [n]. None if `kind` is None."""
         return None if self.kind is None else self._degree(self.kind != "apical_basal") > 0
 
     def columns(self) -> dict[str, np.ndarray]:
-        """The table of cells, a column by name."""
+        """Tabulate the cells: mapping from column name to an array of shape [n]."""
         columns = {"label": self.labels, "volume": self.volume}
         columns |= dict(zip(("x", "y", "z"), self.centroid.T, strict=True))
         columns |= {"lateral_area": self.lateral_area}
@@ -70,7 +74,7 @@ class LabelCells:
         return columns | {"at_border": self.at_border}
 
     def to_pandas(self) -> Any:
-        """The cells as a pandas `DataFrame`, with one row for each.
+        """Convert to a pandas `DataFrame` with one row per cell.
 
         Raises:
             ImportError: If pandas is not installed.
@@ -92,25 +96,27 @@ class LabelCells:
 def measure_labels(image: Any, spacing: Any, sides: Any = None, threshold: float = 0.0) -> LabelCells:
     """Measure the cells of a segmented image from its voxels alone, without a model.
 
-    Volumes are counts of voxels. Areas are sums over voxel faces, each weighed by the cosine between it and the wall,
-    whose direction is that of the faces within four voxels; flat walls and spheres of 5 voxels' radius and more are
-    within 1 %, where faces alone count up to 73 % too much. One voxel thick lines of label 0 between cells, as a
-    watershed leaves them, are given to the cells. Counts of neighbors depend on the smallest walls, which an image
-    shows only down to its voxels: a `threshold` leaves them out.
+    To fit a model to the image, use `fit_tissue`. Volumes are voxel counts. Areas are sums over voxel faces, each
+    weighted by the cosine of its angle to the wall, whose normal is estimated from the faces within four voxels. For
+    flat walls and for spheres with a radius of at least 5 voxels, areas are accurate to 1 %; unweighted faces would
+    overestimate them by up to 73 %. Lines of label 0 between cells, one voxel wide as left by a watershed, are assigned
+    to the cells. The number of neighbors depends on the smallest walls, which are only as accurate as the voxels; use
+    `threshold` to omit them.
 
     Args:
-        image: Labels in the order (z, y, x), whole numbers, 0 outside the tissue.
-        spacing: The sides of a voxel along z, y and x.
-        sides: Marks of the voxels outside, in the image's shape: 1 apical, 2 basal, 0 neither. Without it the lumen is
-            looked for: parts of the background that are enclosed, in the image or in each of its slices.
-        threshold: Walls smaller than this fraction of the mean wall are left out of the contacts.
+        image: Label image with axes (z, y, x): integers of at least 0, with 0 outside the tissue.
+        spacing: Sides (dz, dy, dx) of a voxel, in any length unit.
+        sides: Marks of the background voxels, an integer array of the shape of `image`: 1 apical, 2 basal, 0 neither.
+            Defaults to None: background enclosed by the tissue, in the image or in its slices, is taken as the lumen
+            (apical).
+        threshold: Omit walls smaller than this fraction of the mean wall area. Defaults to 0.
 
     Returns:
-        The cells and their contacts, in the unit of the spacing.
+        A `LabelCells`, with lengths in the unit of `spacing`.
 
     Raises:
-        ValueError: If the image is no volume of whole numbers from 0, has no label but 0, or if spacing, sides or
-            threshold are not as above.
+        ValueError: If `image` is not a 3D array of integers of at least 0, if it has no label but 0, or if `spacing`,
+            `sides` or `threshold` is invalid.
 
     >>> image = np.zeros((6, 6, 12), int)
     >>> image[1:5, 1:5, 1:6], image[1:5, 1:5, 6:11] = 1, 2

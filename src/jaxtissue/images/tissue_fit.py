@@ -1,4 +1,8 @@
-"""A tissue fitted to an image of labels: its domain, its backbones, and how well it describes the image."""
+"""Fit of a tissue to a label image: domain, backbones, and agreement with the image.
+
+Definition 3 is that of Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via
+Backbone Spreads", GRAPP 2025 ("the paper").
+"""
 
 import math
 import warnings
@@ -25,22 +29,25 @@ GAP = 0.02  # of a cell's voxels, which lie where the image has no cell, that ma
 
 @dataclass(frozen=True)
 class TissueFit:
-    """A tissue that describes an image of labels.
+    """Tissue fitted to a label image, as returned by `fit_tissue`. Lengths are in the unit of the voxel spacing.
 
     Attributes:
-        domain: What the tissue fills, in the image's unit of length.
-        positions: The position of each backbone, [n, 2]; of a tube (axial, angle).
-        labels: The label of each backbone's cell in the image, rising, [n].
-        frame: Where the domain lies in the image.
-        voxels: The image that the model gives, of the image's shape, 0 outside.
-        cells: The cells as the image shows them, without specks, in the order of the backbones.
-        beside_gap: Whether the cell of the model takes up space where the image has no cell, as beside one that was not
-            segmented, [n].
-        report: How well the model describes the image. `voxels_same` is the share of the image's labeled voxels that
-            the model labels the same, and `voxels_missing` that of the model's which the image leaves 0.
-            `neighbors_kept` is the share of the image's pairs of neighbors that are neighbors in the model.
-            `volume_error` is the root mean square of model - image over the mean cell, of the cells that are neither at
-            the border of the image nor beside a gap. `cells_at_border` and `cells_beside_gap` count these.
+        domain: The fitted domain, a `Tube`.
+        positions: Axial position and angle in radians of each backbone, shape [n, 2].
+        labels: Label of the cell of each backbone in the image, in increasing order, shape [n].
+        frame: Location of the domain in the image, with fields `origin` (shape [3]) and `axes` (unit vectors in rows,
+            shape [3, 3]) and methods `to_domain` and `to_image`.
+        voxels: Label image of the fitted model, of the shape of the given image, 0 outside.
+        cells: Cells as measured in the given image after removal of isolated voxels, a `LabelCells` in the order of the
+            backbones.
+        beside_gap: Whether each cell of the model extends into voxels without a label in the image, for example next to
+            a cell that was not segmented, booleans, shape [n].
+        report: Agreement of model and image, numbers by name. `voxels_same`: fraction of the labeled voxels that have
+            the same label in the model. `voxels_missing`: fraction of the model's voxels that have label 0 in the
+            image. `neighbors_kept`: fraction of the neighbor pairs in the image that are neighbors in the model.
+            `volume_error`: root-mean-square of the difference in volume, divided by the mean volume, over cells that
+            are neither at the border of the image nor next to a gap. `cells`, `cells_at_border`, `cells_beside_gap`:
+            numbers of cells.
     """
 
     domain: Any
@@ -54,11 +61,15 @@ class TissueFit:
 
     @cached_property
     def connectivity(self) -> Connectivity:
-        """Contacts, transition points and sizes of the model's cells, in the order of the backbones."""
+        """Contacts, transition points and geometry of the cells of the model, a `Connectivity`."""
         return find_connectivity(self.positions, self.domain)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """The table of cells, a column by name: as the image shows them (`image_`) and as the model has them."""
+        """Tabulate the cells, as measured in the image (prefix `image_`) and in the model (prefix `model_`).
+
+        Returns:
+            Mapping from column name to an array of shape [n].
+        """
         inside = self.frame.to_domain(self.cells.centroid)
         columns = {"label": self.labels, "axial": self.positions[:, 0], "angle": self.positions[:, 1]}
         columns |= dict(zip(("centroid_x", "centroid_y", "centroid_z"), inside.T, strict=True))
@@ -76,7 +87,7 @@ class TissueFit:
         return columns | {"at_border": flag, "beside_gap": self.beside_gap}
 
     def to_pandas(self) -> Any:
-        """The cells as a pandas `DataFrame`, with one row for each.
+        """Convert the table of `columns` to a pandas `DataFrame` with one row per cell.
 
         Raises:
             ImportError: If pandas is not installed.
@@ -90,26 +101,27 @@ class TissueFit:
 
 
 def fit_tissue(image: Any, spacing: Any, shape: str = "tube") -> TissueFit:
-    """Find the tissue whose cells run where a segmented image shows them (paper, Definition 3, inverted).
+    """Fit a tube and its backbones to a segmented image (paper, Definition 3, inverted).
 
-    The domain is fitted to the surface of all labels, robustly. The backbones are those for which the points x on the
-    walls between the cells i and j are equally far from both, d_i(x)^2 = d_j(x)^2: a sparse least-squares problem that
-    is solved from the cells' centroids on, with little weight for outliers. Specks of one voxel are removed before, and
-    lines of label 0 between the cells are closed. Cells that were not segmented, with label 0, are tolerated; their
-    neighbors fill the gap in the model, and are flagged. Where the border of the image cuts the tissue, the domain goes
-    on beyond it as far as the backbones of the cells there stand.
+    The tube is fitted robustly to the surface of all labels. The backbones are then chosen such that
+    points on the wall between cells i and j are at equal distance from both, d_i(x)^2 = d_j(x)^2: a sparse robust
+    least-squares problem that starts from the centroids of the cells. Isolated voxels are removed first, and lines of
+    label 0 between cells, as left by a watershed, are closed. Cells that were not segmented (label 0) are tolerated: in
+    the model their neighbors fill the gap and are flagged in `beside_gap`. If the border of the image cuts the tissue,
+    the tube extends beyond it to contain the backbones of the cells there. A warning is issued if fewer than 80 % of
+    the labeled voxels agree.
 
     Args:
-        image: Labels in the order (z, y, x), whole numbers, 0 outside the tissue.
-        spacing: The sides of a voxel along z, y and x.
-        shape: The shape of the domain.
+        image: Label image with axes (z, y, x): integers of at least 0, with 0 outside the tissue.
+        spacing: Sides (dz, dy, dx) of a voxel, in any length unit.
+        shape: Shape of the domain: "tube", the only one so far and the default.
 
     Returns:
-        Domain, backbones, where they lie in the image, and how well they describe it.
+        A `TissueFit` with the domain, the backbones, their location in the image, and the agreement with the image.
 
     Raises:
-        ValueError: If `measure_labels` refuses the image or the spacing, if it has less than two cells, or if the shape
-            is unknown or can't be fitted.
+        ValueError: If `image` or `spacing` is invalid, if the image has fewer than two cells, or if `shape` is unknown
+            or cannot be fitted.
 
     >>> from jaxtissue.geometry.tube import Tube
     >>> tube = Tube(6, 1, 3)
