@@ -110,8 +110,8 @@ def anneal(
         An `AnnealResult` with fields `positions`, `cells`, `records`, `model` and `energies`.
 
     Raises:
-        ValueError: If a position, `temperature`, `seed`, `sweeps`, `resolution` or the energy are invalid, or if the
-            model is not that of `domain`.
+        ValueError: If a position, `temperature`, `seed`, `sweeps`, `resolution` or the energy are invalid, or if
+            `model` is for another domain.
 
     >>> import jax
     >>> tube = Tube(length=12, apical_radius=1, basal_radius=3)

@@ -73,8 +73,8 @@ def exact_cells(positions: ArrayLike, domain: Tube | Domain, samples: int = 50) 
     theorem, V_a = int (x - x_a) n_x dA over the walls of cell a + (L - x_a) (area of its face at x = L) + x_a (area of
     its face at x = 0). The facets zigzag around the true wall, so the area of a wall is computed as the flux through
     its facets of the unit vector N = (q_b - q_a) / |q_b - q_a|, with the nearest points q_a and q_b of the two
-    backbones. The volumes sum to that of the tube for any number of samples; errors decrease with the square of the
-    number of samples.
+    backbones. The volumes sum to the volume of the tube for any number of samples; errors decrease with the square of
+    the number of samples.
 
     On other domains backbones are not sampled. Layers of constant height at `samples` / 3 Gauss-Legendre nodes are
     divided into triangles, about `samples` / 3 across a mean cell, whose vertices are labeled by the nearest backbone;

@@ -52,7 +52,7 @@ def cartesian_voxels(
 ) -> tuple[Float[Array, "voxels 3"], Float[Array, "voxels"]]:
     """Return centers and volumes of the voxels of a Cartesian grid whose centers lie in the tissue.
 
-    The grid is that of `label_image`. Voxels do not follow the surfaces, so the sum of the volumes differs from
+    `label_image` uses the same grid. Voxels do not follow the surfaces, so the sum of the volumes differs from
     `tube.volume`. Not jittable.
 
     Args:

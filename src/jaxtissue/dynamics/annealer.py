@@ -129,7 +129,7 @@ class Annealer:
                 domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
 
         Raises:
-            ValueError: If a position is invalid, or if the number of positions differs from that of the model.
+            ValueError: If a position is invalid, or if the number of positions does not match the model.
         """
         domain = self.model.domain
         own = np.asarray(as_positions_on(positions, domain))

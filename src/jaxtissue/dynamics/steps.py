@@ -69,8 +69,8 @@ def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -
         The state, with properties `positions` (shape [n, 2]) and `cells` (a `CellGeometry`).
 
     Raises:
-        ValueError: If a position is invalid, if the number of positions differs from that of the model, if the domain
-            is not a `Tube`, or if the energy is not one finite number per cell.
+        ValueError: If a position is invalid, if the number of positions does not match the model, if the domain is not
+            a `Tube`, or if the energy is not one finite number per cell.
 
     >>> from jaxtissue.energy import tube_model
     >>> from jaxtissue.geometry.tube import Tube

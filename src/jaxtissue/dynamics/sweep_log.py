@@ -51,7 +51,8 @@ class SweepRecord(NamedTuple):
             another `cell_energy`.
         area_energy: Area term of the paper's energy, sum of Lambda A_i; also reported if the model has another
             `cell_energy`.
-        temperature: Temperature T of the sweep, in energy units; that of the first sweep for the initial state.
+        temperature: Temperature T of the sweep, in energy units. For the initial state, the temperature of the first
+            sweep.
         acceptance: Acceptance rate: fraction of the proposed moves that were accepted, 0 to 1.
         rounds: Number of rounds, each a set of moves that were decided together.
         collisions: Number of moves deferred because they affect a cell already affected by an earlier move in the same

@@ -8,11 +8,11 @@ from jaxtissue.compilation.modes import usual_modes
 
 
 class Backbones(eqx.Module):
-    """The two ends of the backbone of each cell, in Cartesian coordinates (paper, Definition 2).
+    """End points of the backbones of a tissue in Cartesian coordinates (paper, Definition 2).
 
     Attributes:
-        apical: The ends on the apical surface, [n, 3], in the unit of the tube's lengths.
-        basal: The ends on the basal surface, [n, 3], in the same unit.
+        apical: End points on the apical surface, in length units, shape [n, 3].
+        basal: End points on the basal surface, in length units, shape [n, 3].
     """
 
     apical: Float[Array, "n 3"]

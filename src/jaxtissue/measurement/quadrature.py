@@ -21,7 +21,8 @@ class Resolution(NamedTuple):
     each line a cell is the interval between two walls. On other domains, cells are measured as polygons on layers of
     constant height, and `density` is not used. Every function with an argument `resolution` accepts a `Resolution`, a
     tuple (layers, density), a string such as "8x12", or the name of a preset in `PRESETS`: "draft" (4 x 4), "standard"
-    (7 x 8) or "fine" (10 x 10). On domains other than `Tube` the presets have 2, 4 and 8 layers.
+    (7 x 8) or "fine" (10 x 10). On domains other than `Tube`, `measure_tissue` and `tissue_energy` use 2, 4 and 8
+    layers for the names of the presets, and `anneal` uses the layers of the preset.
 
     On the reference tubes the root-mean-square errors of volume and lateral area, relative to their means, are at most
     0.5 % and 3 % for "draft", 0.07 % and 1 % for "standard", and 0.05 % and 0.5 % for "fine".

@@ -2,7 +2,7 @@
 
 The tissue is assumed to be at a minimum of E = sum of K/2 (T_i - V_i)^2 + Lambda A_i. There the force on every backbone
 vanishes, and the forces, sum of (V_i - T_i) dV_i/dx + Lambda/K dA/dx, are linear in Lambda/K and in the target volumes
-T_i. The volumes sum to that of the tube, so adding a constant to all T_i does not change the forces.
+T_i. The volumes sum to the volume of the tube, so adding a constant to all T_i does not change the forces.
 """
 
 import warnings
@@ -117,9 +117,9 @@ def infer_parameters(
     At a minimum of E = sum of K/2 (T_i - V_i)^2 + Lambda A_i the forces on all backbones vanish. The forces are linear
     in Lambda / K and in the target volumes T_i, which are estimated by robust least squares (Tukey's biweight;
     backbones with exceptionally large wall forces are left out). Two quantities cannot be inferred: energies that
-    differ by a factor have the same minima, so K must be given; and since the volumes sum to that of the tube, the mean
-    of all T_i is set to the mean cell volume. If every cell has its own target volume, forces determine only (V_i -
-    T_i) K / Lambda, so the tension must be given.
+    differ by a factor have the same minima, so K must be given; and since the volumes sum to the volume of the tube,
+    the mean of all T_i is set to the mean cell volume. If every cell has its own target volume, forces determine only
+    (V_i - T_i) K / Lambda, so the tension must be given.
 
     Standard errors assume independent random errors of the positions, as large as needed to explain the residual
     forces, and include the bias that such errors cause (an underestimated tension). They are therefore large for

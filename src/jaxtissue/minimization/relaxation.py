@@ -84,7 +84,7 @@ def relax(
         steps: Maximum number of steps, each a block of up to 15 iterations. Defaults to 50. With 0 the energy is only
             evaluated.
         tolerance: Converged if the norm of the gradient falls to this fraction of its initial value; for "lloyd", if
-            the root-mean-square displacement per iteration falls to this fraction of that of the first iteration.
+            the root-mean-square displacement per iteration falls to this fraction of its value in the first iteration.
             Greater than 0; defaults to 1e-6.
         resolution: "draft" (the default), "standard" or "fine", or a `Resolution`.
         callback: Function `callback(record, positions)` called for the initial state and after each step, with a
@@ -95,7 +95,7 @@ def relax(
         `evaluations`, `energy`, `gradient` and `seconds`), `converged` and `message`, and a method `to_pandas`.
 
     Raises:
-        ValueError: If a position is invalid or the number of positions differs from that of the model, if `method` is
+        ValueError: If a position is invalid or the number of positions does not match the model, if `method` is
             unknown, if `steps` is negative or `tolerance` not positive, if the domain is not a `Tube`, or if the energy
             or its gradient is not finite at the start.
 

@@ -43,7 +43,7 @@ def tissue_energy(
         arrays.
 
     Raises:
-        TypeError: If the neighbor list is that of a `Tube` and the domain is not, or vice versa.
+        TypeError: If `neighbors` was allocated for a `Tube` and the domain of `model` is not one, or vice versa.
 
     >>> from jaxtissue.energy import tube_model
     >>> from jaxtissue.geometry.tube import Tube

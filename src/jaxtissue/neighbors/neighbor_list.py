@@ -103,7 +103,7 @@ class NeighborList(eqx.Module):
 
         Args:
             positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2]. The number of
-                backbones may differ from that of the list.
+                backbones may differ from the number of cells of the list.
 
         Returns:
             A list that is complete for `positions`; the same object if it still was.

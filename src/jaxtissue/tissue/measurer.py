@@ -71,8 +71,8 @@ def measure_tissue(
     come from a second quadrature rule with one layer less.
 
     Neighbor lists are built on the host, so this function is not jittable; see `tissue_energy` for a jittable function.
-    A warning lists the worst cells if errors above the limits remain, or if the volumes do not add up to that of the
-    domain.
+    A warning lists the worst cells if errors above the limits remain, or if the volumes do not add up to the volume of
+    the domain.
 
     Args:
         positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with

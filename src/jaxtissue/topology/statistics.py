@@ -186,9 +186,9 @@ def polygon_classes(
 
     Returns:
         Mapping from column name to an array with one entry per number of sides, in increasing order: `sides`; `count`
-        and `fraction` of the cells; `relative_area`, their mean area divided by that of all cells (Lewis's law);
-        `neighbor_sides`, m(n), NaN if there is no neighbor; `sides_times_neighbor_sides`, n m(n) (linear in n by the
-        Aboav-Weaire law).
+        and `fraction` of the cells; `relative_area`, their mean area divided by the mean area of all cells (Lewis's
+        law); `neighbor_sides`, m(n), NaN if there is no neighbor; `sides_times_neighbor_sides`, n m(n) (linear in n by
+        the Aboav-Weaire law).
 
     Raises:
         ValueError: If `surface` is unknown, or if `areas` does not have shape [n].
