@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import jaxtissue as jt
+from jaxtissue.cli import help_texts
 from jaxtissue.cli.commands import main
 from jaxtissue.dynamics.annealer import Annealer
 from jaxtissue.measurement.cells import measure_cells
@@ -220,6 +221,16 @@ def test_the_command_alone_prints_help_and_knows_its_version(capsys):
     with pytest.raises(SystemExit) as end:
         main(["--version"])
     assert end.value.code == 0 and capsys.readouterr().out == f"jaxtissue {jt.__version__}\n"
+
+
+def test_the_help_of_each_command_fits_80_columns(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    for command in help_texts.SUMMARIES:
+        with pytest.raises(SystemExit) as end:
+            main([command, "--help"])
+        text = capsys.readouterr().out
+        assert end.value.code == 0 and help_texts.DESCRIPTIONS[command] in text
+        assert max(map(len, text.splitlines())) <= 80
 
 
 def test_pandas_is_named_where_it_is_missing(result, monkeypatch):
