@@ -177,7 +177,10 @@ def _add_grid(command: argparse.ArgumentParser) -> None:
          choices=("is-mh", "mh"))  # fmt: skip
     shared.add_argument("--relative", action="store_true", default=argparse.SUPPRESS, help=help_texts.RELATIVE)
     _add_contacts(shared, argparse.SUPPRESS, argparse.SUPPRESS)
-    work = command.add_argument_group("distribution of the work")
+    _add_work(command.add_argument_group("distribution of the work"))
+
+
+def _add_work(work: Any) -> None:
     work.add_argument("--batch", type=count_of(1), metavar="N", help="number of rows to anneal together "
                       "(default: 4 per processor core, 64 per GPU)")  # fmt: skip
     parts = work.add_mutually_exclusive_group()
