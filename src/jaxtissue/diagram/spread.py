@@ -132,9 +132,14 @@ def tightness(positions: Float[ArrayLike, "n 2"], tube: Tube) -> Float[np.ndarra
 
 
 def neighbor_bound(tightness: float, backbone_length: float) -> float:
-    """The largest number of neighbors in any tissue, 8 (2 phi + 1/2)^3 + 6 (2 phi + 1/2)^2 l (paper, Lemma 1).
+    """Compute the bound of Lemma 1 on the number of neighbors, 8 (2 phi + 1/2)^3 + 6 (2 phi + 1/2)^2 l (paper).
 
-    `tightness` is phi; `backbone_length` is l, in units of the separation.
+    Args:
+        tightness: phi, dimensionless.
+        backbone_length: l, length of the backbones in units of the separation.
+
+    Returns:
+        The bound.
 
     >>> neighbor_bound(1.0, 2.0)
     200.0
@@ -144,10 +149,17 @@ def neighbor_bound(tightness: float, backbone_length: float) -> float:
 
 
 def tube_neighbor_bound(tightness: float, hops: int = 1) -> float:
-    """The largest number of cells within `hops` contacts of a cell of a tube, 4 (2 h phi + 1/2)^2.
+    """Compute the bound on the number of cells within `hops` contacts of a cell in a tube, 4 (2 h phi + 1/2)^2.
 
-    One hop bounds the neighbors (paper, Lemma 2). More hops keep its constant, where the paper gives the order
-    O(phi^2 h^2) (Corollary 1). `tightness` is phi.
+    With one hop this is the bound of Lemma 2 on the number of neighbors. For more hops the constant of Lemma 2 is used,
+    as Corollary 1 gives only the order O(phi^2 h^2) (paper).
+
+    Args:
+        tightness: phi, dimensionless.
+        hops: Number of contacts h. Defaults to 1.
+
+    Returns:
+        The bound.
 
     >>> tube_neighbor_bound(1.0), tube_neighbor_bound(1.0, hops=2)
     (25.0, 81.0)

@@ -1,4 +1,7 @@
-"""Annealing: spans of sweeps, with neighbor lists and rounds renewed between them, by a schedule of temperatures."""
+"""Annealing: spans of sweeps with a temperature schedule; neighbor lists and rounds are rebuilt between spans.
+
+"The paper" is Buceta, Funke, Storandt, GRAPP 2025: see docs/glossary.md.
+"""
 
 import time
 from collections.abc import Sequence
@@ -220,11 +223,11 @@ class Annealer:
 
 @usual_modes()
 def advance_together(annealers: Sequence[Annealer], states: Sequence[AnnealState], slots: int = 0) -> list[Advance]:
-    """`Annealer.advance` for several replicas at once, each its own annealer, to the same bits as alone.
+    """Advance several replicas at once, each with its own annealer, with the same results bit for bit as one by one.
 
-    Replicas alike in resolution, number of cells and energy function run in one compiled program, [replicas, n], spread
-    over the devices of this process; seeds, tubes, constants and temperatures are free. The program is compiled for
-    `slots` replicas, or for as many as there are. On domains other than tubes replicas go on one after another.
+    Replicas of the same resolution, number of cells and energy function run in one compiled program, distributed over
+    the devices of the process; their seeds, tubes, constants and temperatures may differ. The program is compiled for
+    `slots` replicas, by default for the given number. On domains other than `Tube` replicas run one after another.
     """
     if any(run._on_domain for run in annealers):
         if len(annealers) > 1:
@@ -263,7 +266,7 @@ def _advance_on_domain(run: Annealer, state: AnnealState) -> Advance:
 
 @usual_modes()
 def record_together(annealers: Sequence[Annealer], states: Sequence[AnnealState], slots: int = 0) -> list[SweepRecord]:
-    """`Annealer.record` for several replicas at once, as `advance_together`."""
+    """Return the records of several replicas at once; see `Annealer.record` and `advance_together`."""
     batch = Batch(max(slots, len(annealers)))
     sizes = [measured.sizes for measured in _survey(annealers, states, batch)]
     energies = energies_together([run.model for run in annealers], sizes, batch)

@@ -1,4 +1,8 @@
-"""Temperatures of the sweeps, and the end of a run that has stalled."""
+"""Temperature schedules, and a stopping rule for runs that have stalled.
+
+"The paper" is Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone
+Spreads", GRAPP 2025.
+"""
 
 from collections.abc import Sequence
 

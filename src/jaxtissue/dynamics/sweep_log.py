@@ -1,4 +1,8 @@
-"""The record of each sweep of a run, and a tissue as it is measured between sweeps."""
+"""Record of each sweep of a run, and a tissue as measured between sweeps.
+
+"The paper" is Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone
+Spreads", GRAPP 2025.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple

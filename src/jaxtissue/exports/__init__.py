@@ -1,1 +1,1 @@
-"""Tissues as files that others open: images, meshes, tables and graphs."""
+"""Export of tissues to file formats of other programs: images, meshes, tables and graphs."""

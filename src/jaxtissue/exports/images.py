@@ -13,7 +13,7 @@ _FINE = 10  # voxels along the side of a mean cell, where no spacing is given
 
 
 def write_ome_tiff(tissue: TissueRecord, folder: Path, spacing: tuple[float, float, float] | None) -> list[Path]:
-    """Write labels.ome.tif: (z, y, x), 0 outside, cell number + 1 inside, with spacing, unit and origin."""
+    """Write labels.ome.tif: axes (z, y, x), 0 outside, cell index + 1 inside, with spacing, unit and origin."""
     tifffile = optional("tifffile", "io", "the format ome-tiff")
     tube = tissue.tube
     if spacing is None:

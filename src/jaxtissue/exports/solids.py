@@ -1,4 +1,4 @@
-"""One closed mesh for each cell: PLY and STL for printers and Blender, GLB for browsers."""
+"""One closed mesh per cell: PLY and STL for 3D printing and Blender, GLB for web browsers."""
 
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from jaxtissue.system.extras import optional
 
 
 def write_solids(tissue: TissueRecord, folder: Path, kind: str) -> list[Path]:
-    """Write a folder `kind`, ply or stl, with a file for each cell, named by its number."""
+    """Write a folder named `kind` ("ply" or "stl") with one file per cell, named by its index."""
     place = folder / kind
     place.mkdir()
     digits = len(str(len(tissue.positions) - 1))
@@ -22,7 +22,7 @@ def write_solids(tissue: TissueRecord, folder: Path, kind: str) -> list[Path]:
 
 
 def write_glb(tissue: TissueRecord, folder: Path) -> list[Path]:
-    """Write cells.glb: a scene with one node for each cell, in the colors of the pictures."""
+    """Write cells.glb: a scene with one node per cell, in the same colors as the pictures."""
     trimesh = optional("trimesh", "io", "the format glb")
     scene, colors = trimesh.Scene(), color_cells(tissue.meshes)
     for cell, solid in enumerate(_solids(tissue, "glb")):

@@ -15,7 +15,7 @@ from jaxtissue.topology.statistics import tissue_graph
 
 
 def tables(tissue: TissueRecord) -> dict[str, dict[str, np.ndarray]]:
-    """The tables of cells, contacts and transition points, by name."""
+    """Return the tables of cells, contacts and transition points: mapping from table name to a mapping of columns."""
     contacts, transitions = tissue.connectivity.contacts, tissue.connectivity.transitions
     pairs = dict(zip(("cell_a", "cell_b"), contacts.pairs.T, strict=True))
     names = ("area", "apical_length", "basal_length", "kind", "pieces")
@@ -29,7 +29,7 @@ def tables(tissue: TissueRecord) -> dict[str, dict[str, np.ndarray]]:
 
 
 def write_parquet(tissue: TissueRecord, folder: Path) -> list[Path]:
-    """Write cells.parquet, contacts.parquet and transitions.parquet, with the unit and the domain as metadata."""
+    """Write cells.parquet, contacts.parquet and transitions.parquet, with length unit and domain as metadata."""
     pyarrow, parquet = (optional(name, "io", "the format parquet") for name in ("pyarrow", "pyarrow.parquet"))
     about = {"unit": tissue.unit, "domain": json.dumps(domain_values(tissue.tube))}
     for name, columns in tables(tissue).items():
@@ -39,13 +39,13 @@ def write_parquet(tissue: TissueRecord, folder: Path) -> list[Path]:
 
 
 def write_graphml(tissue: TissueRecord, folder: Path, columns: Mapping[str, np.ndarray]) -> list[Path]:
-    """Write graph.graphml: cells with their table as nodes, contacts as edges."""
+    """Write graph.graphml: cells as nodes with `columns` as attributes, contacts as edges."""
     nx.write_graphml(tissue_graph(tissue.connectivity, columns), folder / "graph.graphml")
     return [folder / "graph.graphml"]
 
 
 def write_anndata(tissue: TissueRecord, folder: Path) -> list[Path]:
-    """Write cells.h5ad: the measured values as X, flags and names in obs, places in obsm, wall areas in obsp."""
+    """Write cells.h5ad: measured values in X, flags and names in obs, positions in obsm, wall areas in obsp."""
     anndata, pandas = (optional(name, "anndata", "the format anndata") for name in ("anndata", "pandas"))
     columns = {name: np.asarray(column) for name, column in tissue.columns.items()}
     measured = [name for name in columns if columns[name].dtype.kind in "iuf" and name not in ("cell", *"xyz")]

@@ -1,4 +1,4 @@
-"""A tissue with all that is exported or drawn of it, each part found when it is first asked for."""
+"""A tissue with everything that can be exported or drawn, computed on first access."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,16 +18,16 @@ _SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimet
 
 @dataclass(frozen=True)
 class TissueRecord:
-    """A tissue, its contacts, its meshes and its table of cells.
+    """Tissue of a tube with its contacts, meshes and table of cells, each computed on first access.
 
     Attributes:
-        positions: (axial, angle) of each backbone, [n, 2].
-        tube: The tube that the backbones stand in.
-        names: The names of the cells, if they have any.
-        unit: The unit of all lengths, such as "um"; empty if none was given.
-        history: Positions after some sweeps of a run, by sweep.
-        tolerance: That of the meshes.
-        traced: Its connectivity, if it is known already.
+        positions: Axial position and angle in radians of each backbone, shape [n, 2].
+        tube: The tube.
+        names: Names of the cells, or None.
+        unit: Unit of length, such as "um"; empty if unknown.
+        history: Positions after some sweeps of a run, shape [n, 2], by number of the sweep.
+        tolerance: Tolerance of the meshes; see `mesh_cells`.
+        traced: Result of an earlier `find_connectivity`, or None.
     """
 
     positions: Float[np.ndarray, "n 2"]
@@ -40,17 +40,17 @@ class TissueRecord:
 
     @cached_property
     def connectivity(self) -> Connectivity:
-        """Contacts, transition points, forms and sizes."""
+        """Contacts, transition points, topology and geometry of the cells."""
         return self.traced or find_connectivity(self.positions, self.tube)
 
     @cached_property
     def meshes(self) -> CellMeshes:
-        """The surfaces of the cells."""
+        """Triangle meshes of the surfaces of the cells."""
         return mesh_cells(self.positions, self.tube, self.tolerance)
 
     @cached_property
     def ends(self) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-        """The apical and the basal ends of the backbones."""
+        """Apical and basal end points of the backbones, each of shape [n, 3]."""
         axial, angle = np.asarray(self.positions, float).T
         radii = float(self.tube.apical_radius), float(self.tube.basal_radius)
         first, second = (np.stack([axial, r * np.cos(angle), r * np.sin(angle)], axis=1) for r in radii)
@@ -58,7 +58,7 @@ class TissueRecord:
 
     @cached_property
     def columns(self) -> dict[str, np.ndarray]:
-        """The table of cells: positions, sizes, neighbors, shapes, and names if there are any."""
+        """Table of the cells: positions, geometry, neighbors, shape descriptors, and names if there are any."""
         axial, angle = np.asarray(self.positions, float).T
         apical, basal = self.ends
         columns = {"cell": np.arange(len(axial)), "axial": axial, "angle": angle}
@@ -76,9 +76,9 @@ class TissueRecord:
 
 
 def tabulate_walls(contacts: Contacts) -> dict[str, Float[np.ndarray, " n"]]:
-    """Mean and standard deviation of the areas of each cell's walls, one for each neighbor.
+    """Compute mean and standard deviation of the wall areas of each cell, with one wall per neighbor.
 
-    The mean is not a number for a cell without neighbors, the deviation for one with fewer than two.
+    The mean is NaN for a cell without neighbors, the standard deviation for a cell with fewer than two.
     """
     cell, area = contacts.pairs.T.ravel(), np.tile(contacts.area, 2)
     count = contacts.degree()

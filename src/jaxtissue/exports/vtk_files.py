@@ -1,4 +1,4 @@
-"""Files for ParaView and other programs with VTK: cells, walls, backbones, transition points, and runs over time."""
+"""Files for ParaView and other VTK programs: cells, walls, backbones, transition points, and time series."""
 
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ def write_vtk(tissue: TissueRecord, folder: Path) -> list[Path]:
 
 
 def closed_cells(pyvista: Any, meshes: CellMeshes, values: dict[str, np.ndarray]) -> Any:
-    """The closed surface of each cell, as triangles that carry its number and its values."""
+    """Return the closed surface of each cell as triangles that carry the index and the table values of the cell."""
     first, second = meshes.sides.T
     inner = second < meshes.cells
     triangles = np.concatenate([meshes.triangles, meshes.triangles[inner][:, ::-1]])
@@ -65,7 +65,7 @@ def walls(pyvista: Any, meshes: CellMeshes) -> Any:
 
 
 def backbones(pyvista: Any, tissue: TissueRecord, columns: dict[str, np.ndarray]) -> Any:
-    """The backbones as lines that carry the table of cells."""
+    """Return the backbones as line segments that carry the table of cells."""
     n = len(tissue.positions)
     lines = np.stack([np.full(n, 2), np.arange(n), n + np.arange(n)], axis=1)
     sheet = pyvista.PolyData(np.concatenate(tissue.ends), lines=lines.ravel())
@@ -75,7 +75,7 @@ def backbones(pyvista: Any, tissue: TissueRecord, columns: dict[str, np.ndarray]
 
 
 def write_series(tissue: TissueRecord, folder: Path) -> list[Path]:
-    """Write run.pvd, which shows the cells after each kept sweep of a run, and the folder of its meshes."""
+    """Write run.pvd, a time series of the cells after each stored sweep, and the folder of its meshes."""
     pyvista = optional("pyvista", "viz", "the format pvd")
     if not tissue.history:
         raise ValueError("the format pvd needs the sweeps of a run that anneal made; leave it out")

@@ -1,4 +1,8 @@
-"""Backbones: one straight segment per cell, from the apical to the basal surface (paper, Definition 2)."""
+"""Backbones: one straight segment per cell, from the apical to the basal surface.
+
+Definition 2 is that of Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via
+Backbone Spreads", GRAPP 2025 ("the paper").
+"""
 
 import equinox as eqx
 import jax.numpy as jnp

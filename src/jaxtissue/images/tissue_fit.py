@@ -103,13 +103,13 @@ class TissueFit:
 def fit_tissue(image: Any, spacing: Any, shape: str = "tube") -> TissueFit:
     """Fit a tube and its backbones to a segmented image (paper, Definition 3, inverted).
 
-    The tube is fitted robustly to the surface of all labels. The backbones are then chosen such that
-    points on the wall between cells i and j are at equal distance from both, d_i(x)^2 = d_j(x)^2: a sparse robust
-    least-squares problem that starts from the centroids of the cells. Isolated voxels are removed first, and lines of
-    label 0 between cells, as left by a watershed, are closed. Cells that were not segmented (label 0) are tolerated: in
-    the model their neighbors fill the gap and are flagged in `beside_gap`. If the border of the image cuts the tissue,
-    the tube extends beyond it to contain the backbones of the cells there. A warning is issued if fewer than 80 % of
-    the labeled voxels agree.
+    The tube is fitted robustly to the surface of all labels. The backbones are then chosen such that points on the wall
+    between cells i and j are at equal distance from both, d_i(x)^2 = d_j(x)^2: a sparse robust least-squares problem
+    that starts from the centroids of the cells. Isolated voxels are removed first, and lines of label 0 between cells,
+    as left by a watershed, are closed. Cells that were not segmented (label 0) are tolerated: in the model their
+    neighbors fill the gap and are flagged in `beside_gap`. If the border of the image cuts the tissue, the tube extends
+    beyond it to contain the backbones of the cells there. A warning is issued if fewer than 80 % of the labeled voxels
+    agree.
 
     Args:
         image: Label image with axes (z, y, x): integers of at least 0, with 0 outside the tissue.

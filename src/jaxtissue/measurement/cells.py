@@ -174,12 +174,25 @@ def measure_cells(
     all_round: Bool[Array, "n"] | None = None,
     adhesion: Adhesion | None = None,
 ) -> tuple[CellGeometry, Survey]:
-    """Measure all cells, or the given ones, against their candidate neighbors behind and ahead (paper, section 3.1).
+    """Measure all cells of a tube, or the given ones, on neighbor lists known to be valid (paper, section 3.1).
 
-    Lists are padded with the cell itself. Cells that are to be measured `all_round` are looked for in all windows round
-    the tube, others as long as one window after the other holds a part of them. The function is pure: it may be jitted,
-    or vmapped over replicas, each with the lines planned for its tube; positions, the tube's sizes and the lines are
-    traced. V_i = integral of the interval's length over r dr dt, A_i = integral of the walls' tilt.
+    V_i is the integral of the segment length over r dr dtheta, and A_i the integral of the wall's inclination. A pure
+    function of its array arguments, for use inside `jax.jit` or `jax.vmap` (over replicas, each with its own lines);
+    outside of them use `measure_tissue`.
+
+    Args:
+        positions: Axial position and angle in radians of each backbone, shape [n, 2].
+        tube: The tube.
+        lines: Quadrature lines for this tube and number of cells, from `plan_lines`.
+        neighbors: Candidates of each cell behind and ahead, padded with the index of the cell itself, shape [n, 2, k];
+            the attribute `candidates` of a `NeighborList`.
+        cells: Indices of the cells to measure, shape [cells]. Defaults to None: all cells.
+        all_round: Whether to search for each cell on all lines around the tube, booleans, shape [n]. Defaults to None:
+            lines are added at either side as long as they contain part of the cell.
+        adhesion: An `Adhesion`, which weights wall areas. Defaults to None.
+
+    Returns:
+        The `CellGeometry` of the cells, and internal data of the measurement.
     """
     which = jnp.arange(len(positions), dtype=jnp.int32) if cells is None else jnp.asarray(cells)
     neighbors, table, size = jnp.asarray(neighbors), backbone_coords(positions), len(which)

@@ -150,11 +150,21 @@ def section_layers(resolution: Resolution | str) -> int:
 def plan_lines(
     tube: Tube, cells: int, resolution: Resolution | str, reach: float = REACH, surfaces: bool = False
 ) -> Lines:
-    """The lines for a tube of `cells` cells, in windows of `reach` mean cell widths to either side.
+    """Plan the quadrature lines for a tube of `cells` cells.
 
-    The mean cell width at radius r is sqrt(2 pi r L / n). Layers have about 0.65 to 1.35 times `density`
-    lines per width, more the farther out, where cells are larger and errors weigh more; the surfaces, which
-    carry no volume, have 1.5 times. At least 16 lines run once round the outermost and the surfaces.
+    The mean cell width at radius r is sqrt(2 pi r L / n). Layers have about 0.65 to 1.35 times `density` lines per mean
+    cell width, more at larger radii, where cells are larger and errors weigh more. The two surfaces, which carry no
+    volume, have 1.5 times `density`. At least 16 lines are placed around the outermost layer and around each surface.
+
+    Args:
+        tube: The tube; its dimensions must not be traced.
+        cells: Number of cells n.
+        resolution: "draft", "standard" or "fine", or a `Resolution`.
+        reach: Half-width of the first window of lines around each backbone, in mean cell widths.
+        surfaces: Whether to add lines on the apical and basal surface. Defaults to False.
+
+    Returns:
+        The lines.
     """
     resolution = as_resolution(resolution)
     radius, weight = layer_rule(tube, resolution.layers)

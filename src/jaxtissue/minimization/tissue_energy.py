@@ -1,4 +1,8 @@
-"""The energy of a whole tissue as a differentiable function."""
+"""Energy of a whole tissue as a differentiable function.
+
+"The paper" is Buceta, Funke, Storandt, "Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone
+Spreads", GRAPP 2025.
+"""
 
 from typing import Any
 
@@ -26,10 +30,10 @@ def tissue_energy(
     """Compute the energy of a tissue, E = sum of E_i, as a differentiable pure function (paper, section 3.1).
 
     Differentiable with respect to `positions` and every leaf of `model`, including the dimensions of the domain, and
-    compatible with `jax.grad`, `jax.jvp`, `jax.jit` and `jax.vmap`. Under `jax.jit`, `resolution` must be static. The
-    result is the exact derivative of the discretized energy. For volumes it agrees with the derivative of the true
-    volume to about 0.1 %. For lateral areas it is much less accurate, because the discretized area of a wall nearly
-    parallel to the axis has small steps. To minimize the energy, use `relax`.
+    compatible with `jax.grad`, `jax.jvp`, `jax.jit` and `jax.vmap`. Under `jax.jit`, `resolution` must be static.
+    Derivatives are the exact derivatives of the discretized energy. For volumes they agree with the derivative of the
+    true volume to about 0.1 %. For lateral areas they are much less accurate, because the discretized area of a wall
+    nearly parallel to the axis has small steps. To minimize the energy, use `relax`.
 
     Args:
         positions: Axial position and angle in radians of each backbone, floats, shape [n, 2]; on other domains

@@ -48,10 +48,20 @@ WRITERS: dict[str, Writer] = {
 def export_tissue(
     tissue: TissueRecord, folder: Path, formats: Sequence[str], spacing: Spacing | None = None
 ) -> list[Path]:
-    """Write a tissue in some of the formats into a folder, and return what was written.
+    """Write a tissue to a folder in the given formats.
+
+    Args:
+        tissue: The tissue, for example from `read_tissue`.
+        folder: Folder to write to.
+        formats: Names of formats: "ome-tiff", "vtu", "pvd", "ply", "stl", "glb", "graphml", "csv", "parquet" or
+            "anndata".
+        spacing: Sides (dz, dy, dx) of a voxel for "ome-tiff", in length units. Defaults to None.
+
+    Returns:
+        Paths of the files and folders that were written. Each is written completely or not at all.
 
     Raises:
-        ValueError: If a format needs a package that is not installed, more memory, or what the tissue has not.
+        ValueError: If a format requires a missing package, too much memory, or data that the tissue does not have.
     """
     with alone(folder, what="a run or an export"):
         return [path for name in dict.fromkeys(formats) for path in _export(tissue, folder, name, spacing)]

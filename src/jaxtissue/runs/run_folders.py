@@ -36,10 +36,18 @@ def save_tissue(folder: Path, domain: Tube | Domain, backbones: BackboneTable) -
 
 
 def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) -> TissueRecord:
-    """The tissue that `anneal`, `relax`, `measure` or `fit` left in a folder, with the sweeps that a run kept.
+    """Read the tissue in a folder written by the command `anneal`, `relax`, `measure` or `fit`.
+
+    Args:
+        folder: The folder.
+        unit: Unit of length, such as "um". Defaults to "": unknown.
+        tolerance: Tolerance of the meshes; see `mesh_cells`. Defaults to None: the default of `mesh_cells`.
+
+    Returns:
+        The tissue, with the positions after the stored sweeps of a run in `history`.
 
     Raises:
-        ValueError: If the folder holds no such tissue, or a run that has not ended; the message says what to do.
+        ValueError: If the folder contains no tissue, a tissue that is not in a `Tube`, or an unfinished run.
     """
     if not folder.is_dir():
         raise ValueError(f"{folder} is no folder; give one that anneal, relax or measure wrote")

@@ -65,10 +65,10 @@ def measure_tissue(
 
     In a `Tube` cells are measured by quadrature on lines parallel to the axis, at two resolutions whose difference
     gives the error estimates. Cells whose estimated error exceeds 1 % of the mean volume or 5 % of the mean lateral
-    area are measured again by tracing the edges of the Voronoi diagram in float64, to a relative error of about 1e-5.
-    Tissues of up to 64 cells are always traced completely, and so are all tissues if `tolerance` is below 0.01; this
-    takes about 1 ms per cell. On other domains cells are measured as polygons on layers of constant height, and errors
-    come from a second quadrature rule with one layer less.
+    area (or `tolerance`) are measured again by tracing the edges of the Voronoi diagram in float64, to a relative error
+    of about 1e-5. Tissues of up to 64 cells are always traced completely, and so are all tissues if `tolerance` is
+    below 0.01; this takes about 1 ms per cell. On other domains cells are measured as polygons on layers of constant
+    height, and errors come from a second quadrature rule with one layer less.
 
     Neighbor lists are built on the host, so this function is not jittable; see `tissue_energy` for a jittable function.
     A warning lists the worst cells if errors above the limits remain, or if the volumes do not add up to the volume of
