@@ -19,7 +19,7 @@ class CellGeometry(eqx.Module):
 
     Lengths are in the length unit of the domain, areas in its square, volumes in its cube. All arrays have one entry
     per cell. Fields that were not measured are None: the four on the surfaces if `surfaces=False`, and the two errors
-    if `refine=False` or if the cells come from `CellMeasurer`.
+    if `refine=False` or if the cells come from `CellMeasurer`. Only `measure_tissue` sets `tiling_defect`.
 
     Attributes:
         volume: V_i, volume of each cell, shape [cells].
