@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import quick
 from hypothesis import settings
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from matplotlib.figure import Figure
-from quick import ASKED, SHORT_LOOPS, quick_settings, turn_off_emitters, usual_settings
 
 from jaxtissue.compilation.batching import PROGRAMS
 from jaxtissue.geometry.tube import Tube
@@ -25,7 +25,7 @@ from jaxtissue.tissue import measurer, refinement
 DATA = Path(__file__).parent / "data"
 REFERENCES = sorted(path.stem for path in DATA.glob("*.npz"))
 
-turn_off_emitters()
+quick.begin()
 gc.set_threshold(20_000, 20, 50)  # tracing makes many objects: to look through them takes a tenth of all time
 
 settings.register_profile("jaxtissue", deadline=None, derandomize=True, database=None, max_examples=30)
@@ -52,15 +52,6 @@ def keep_compiled(tmp_path_factory, worker_id):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def compile_as_users_do():
-    """What is compiled with options is compiled as users do, where no fixture below asks for less."""
-    with pytest.MonkeyPatch.context() as patch:
-        for module, name, value in usual_settings():
-            patch.setattr(module, name, value)
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
 def leave_no_scenes():
     """Runs leave pictures in three dimensions only where a test asks for them: each takes a second."""
     with pytest.MonkeyPatch.context() as patch:
@@ -82,51 +73,25 @@ def forget_programs() -> None:
 
 
 @contextmanager
-def compiling(replicas_as_alone: bool) -> Iterator[None]:
-    """Compile quickly, here and in commands started by `quick.command`, and leave no program to others."""
+def compiling(asked: str) -> Iterator[None]:
+    """Compile as asked, here and in commands started by `quick.command`, and leave no program to others."""
     with pytest.MonkeyPatch.context() as patch:
         forget_programs()
-        for module, name, value in quick_settings(replicas_as_alone):
+        for module, name, value in quick.settings(asked):
             patch.setattr(module, name, value)
-        patch.setenv(ASKED, "replicas as alone" if replicas_as_alone else "quickest")
-        patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-        jax.config.update("jax_disable_most_optimizations", True)
+        patch.setenv(quick.ASKED, asked)
         yield
         forget_programs()
-        jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture(scope="module")
-def quick_compile():
-    """Compile without optimization, here and in processes started: few cells for few sweeps.
+def optimized():
+    """What is compiled with options is optimized: for tests that compute much, or ask for equal bits.
 
-    What is measured or summed in bulk, in `test_metropolis` and `test_voronoi`, is compiled as users do.
+    Without optimization replicas get other bits than alone.
     """
-    with compiling(replicas_as_alone=True):
+    with compiling(quick.OPTIMIZED):
         yield
-
-
-@pytest.fixture(scope="module")
-def quickest_compile():
-    """The same, and more quickly where replicas need not be the same to the bit as alone."""
-    with compiling(replicas_as_alone=False):
-        yield
-
-
-@pytest.fixture(autouse=True)
-def quick_examples(request):
-    """Examples in docstrings are compiled quickly: they compute little."""
-    if not isinstance(request.node, pytest.DoctestItem):
-        yield
-        return
-    with pytest.MonkeyPatch.context() as patch:
-        forget_programs()
-        for module, name, value in SHORT_LOOPS:
-            patch.setattr(module, name, value)
-        jax.config.update("jax_disable_most_optimizations", True)
-        yield
-        forget_programs()
-        jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import os
 import sys
 import time
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
@@ -19,13 +20,20 @@ from jaxtissue.tissue import measurer, refinement
 
 Options = dict[str, str | bool]
 ASKED = "JAXTISSUE_TESTS_COMPILE"  # the variable by which processes are told how to compile
-LEVEL = "xla_backend_optimization_level"
-# compiled in half of the time; a sweep takes a fifth longer, and replicas get other bits than alone
-QUICK: Options = {"xla_cpu_use_fusion_emitters": False}
-USUAL: Options = {"xla_cpu_use_fusion_emitters": True}
+QUICKEST, OPTIMIZED = "quickest", "optimized"
+OPTIONS: dict[str, Options] = {
+    # without optimization; replicas get other bits than alone
+    QUICKEST: {"xla_cpu_use_fusion_emitters": False},
+    OPTIMIZED: {
+        "xla_cpu_use_fusion_emitters": False,
+        "xla_backend_optimization_level": "1",
+        "xla_llvm_disable_expensive_passes": False,
+    },
+}
 COMPILING = (fusion, search, measurer, batching, refinement)  # the modules that compile with options
 # candidates compared in loops that are unrolled less: two thirds of the time to compile
 SHORT_LOOPS = [(walls, "CHUNK", 4), (walls, "UNROLLED", 0), (half_planes, "CHUNK", 4)]
+USERS_OPTIONS = fusion.options
 # named as the installed command, by which it knows that signals are for it to answer
 RUN = f"""
 import sys
@@ -36,38 +44,33 @@ quick.run()
 """
 
 
-def turn_off_emitters() -> None:
-    """Compile what has no options of its own in two thirds of the time; to be called before JAX starts.
+def begin() -> None:
+    """Compile quickly in this process and in those that it starts; to be called before JAX starts.
 
-    JAX does not start where its compiler does not know a flag, and this one is gone since 0.11.1.
+    Programs without options of their own are never optimized. Loops are short in all tests: JAX traces a function
+    once, whatever has changed since.
     """
+    # JAX does not start where its compiler does not know a flag, and this one is gone since 0.11.1
     if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 11):
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
+    import jax  # not before signals are answered, in the commands that tests start
+
+    os.environ |= {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1", ASKED: QUICKEST}
+    jax.config.update("jax_disable_most_optimizations", True)
+    compile_as_asked()
 
 
-def usual_settings() -> list[tuple[ModuleType, str, Any]]:
-    """What is to stand in each module that compiles, so that it does as without `turn_off_emitters`."""
-    usual = fusion.options
+def settings(asked: str) -> list[tuple[ModuleType, str, Any]]:
+    """What is to stand in each module that compiles with options: module, name, value."""
 
-    def as_users_do(light: bool = False) -> Options:
-        return {name: value for name, value in USUAL.items() if is_option(name, value)} | usual(light)
+    def compiling(wanted: Options) -> Callable[[bool], Options]:
+        def options(light: bool = False) -> Options:
+            usual = {name: value for name, value in USERS_OPTIONS(light).items() if name not in OPTIONS[OPTIMIZED]}
+            return usual | {name: value for name, value in wanted.items() if is_option(name, value)}
 
-    return [(module, "options", as_users_do) for module in COMPILING]
+        return options
 
-
-def quick_settings(replicas_as_alone: bool) -> list[tuple[ModuleType, str, Any]]:
-    """What is to stand in each module that compiles, where JAX is told not to optimize: module, name, value.
-
-    With `replicas_as_alone`, what is compiled for replicas has the usual options.
-    """
-    usual = fusion.options
-
-    def quick(light: bool = False) -> Options:
-        found = {name: value for name, value in usual(light).items() if name != LEVEL}
-        return found | {name: value for name, value in QUICK.items() if is_option(name, value)}
-
-    some = set(COMPILING) - {batching} if replicas_as_alone else COMPILING
-    return [*((module, "options", quick) for module in some), *SHORT_LOOPS]
+    return [(module, "options", compiling(OPTIONS[asked])) for module in COMPILING]
 
 
 def command(*arguments: object) -> list[str | bytes]:
@@ -78,9 +81,8 @@ def command(*arguments: object) -> list[str | bytes]:
 
 def compile_as_asked() -> None:
     """Compile as the test does that started this process."""
-    if asked := os.environ.get(ASKED):
-        for module, name, value in (*usual_settings(), *quick_settings(asked == "replicas as alone")):
-            setattr(module, name, value)
+    for module, name, value in (*settings(os.environ[ASKED]), *SHORT_LOOPS):
+        setattr(module, name, value)
 
 
 def meet(folder: Path, name: str, count: int) -> None:

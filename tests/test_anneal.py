@@ -17,8 +17,6 @@ from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.quadrature import PRESETS
 from jaxtissue.neighbors import shortlists
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
-
 TUBE = Tube(length=20.0, apical_radius=1.0, basal_radius=3.0)
 CELLS = 40
 
@@ -151,7 +149,7 @@ def test_tubes_of_other_sizes_need_no_program_of_their_own(start) -> None:
     play(annealer(SPAN), start)
     programs = set(PROGRAMS)
     for tube in (Tube(20.0, 0.5, 3.0), Tube(35.0, 2.0, 3.0), Tube(10.0, 0.4, 2.0)):
-        run = annealer(2 * SPAN, tube=tube)
+        run = annealer(4, tube=tube)
         state = run.start(tube.random_positions(jax.random.key(5), CELLS))
         _, rows = play(run, state)
         assert rows[-1].energy < run.record(state).energy

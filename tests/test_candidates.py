@@ -41,8 +41,6 @@ from jaxtissue.neighbors.shortlists import (
     sight_lines,
 )
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
-
 TUBE = Tube(length=20.0, apical_radius=1.0, basal_radius=3.0)
 CELLS = 300
 BOUND = float(move_bound(tube_model(TUBE, CELLS), CELLS))

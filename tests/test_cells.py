@@ -15,8 +15,6 @@ from jaxtissue.measurement.quadrature import PRESETS, REACH, plan_lines
 from jaxtissue.neighbors.search import TILES, find_candidates, find_defect, split_by_side
 from jaxtissue.tissue.measurer import measure_tissue
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
-
 TUBE = Tube(length=10.0, apical_radius=1.0, basal_radius=3.0)
 # rms over cells / mean cell of volume and lateral area, error of the total area; surfaces of `standard` below
 BARS = {"draft": (0.005, 0.02, 0.01), "standard": (0.0007, 0.01, 0.002), "fine": (0.0005, 0.005, 0.001)}

@@ -27,10 +27,10 @@ from jaxtissue.runs.run_folders import read_tissue
 from jaxtissue.system.locks import alone
 from jaxtissue.topology import edges
 
-pytestmark = pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
+pytestmark = pytest.mark.usefixtures("coarse_pictures")
 SIZES = ("--length", "12", "--apical-radius", "2", "--basal-radius", "4")
 SMALL = ("anneal", *SIZES, "--cells", "16", "--seed", "3")
-LONG = (*SMALL, "--sweeps", "50")
+LONG = (*SMALL, "--sweeps", "30")
 SIZE_COLUMNS = (
     "cell,axial,angle,volume,lateral_area,apical_area,basal_area,"
     "apical_perimeter,basal_perimeter,volume_error,lateral_area_error,energy,is_end"
@@ -112,7 +112,7 @@ def test_anneal_leaves_tables_figures_and_a_manifest(annealed):
         *("checkpoint.npz", "energy.png", "volumes.png", "surfaces.png", "index.html"),
     }
     sweeps, cells = read_table(annealed / "sweeps.csv"), read_table(annealed / "cells.csv")
-    assert column(sweeps, "sweep").tolist() == list(range(51))
+    assert column(sweeps, "sweep").tolist() == list(range(31))
     needed = "sweep,energy,volume_energy,area_energy,temperature,acceptance,rounds,collisions,seconds"
     assert ",".join(sweeps[0]).startswith(needed)
     assert [float(sweeps[0][name]) for name in ("rounds", "collisions", "seconds")] == [0, 0, 0]
@@ -132,7 +132,7 @@ def test_the_manifest_tells_how_the_run_was_made(annealed):
         12,
         16,
         3,
-        50,
+        30,
     )
     assert arguments["temperature"] == 2 and arguments["tension"] == 0.4 and arguments["resolution"] == "draft"
     assert manifest["versions"].keys() >= {"jaxtissue", "jax", "jaxlib", "numpy", "scipy", "python"}
@@ -159,7 +159,7 @@ CHANGES = [
     ("--basal-radius", "5"),
     ("--cells", "17"),
     ("--x64",),
-    ("--sweeps", "49"),
+    ("--sweeps", "29"),
     ("--final-temperature", "1"),
     ("--minimum-contact", "0.1"),
     ("--no-contacts",),
@@ -202,7 +202,7 @@ def test_a_signal_ends_the_span_saves_and_leaves(annealed, tmp_path, monkeypatch
     number, folder, advance = signal.SIGINT, tmp_path / "stopped", Annealer.advance  # SIGTERM: `test_runs`
 
     def interrupted(annealer, state):
-        if state.sweep == 30:  # and so in the span up to the 40th
+        if state.sweep == 10:  # and so in the span up to the 15th
             signal.raise_signal(number)
         return advance(annealer, state)
 
@@ -210,8 +210,8 @@ def test_a_signal_ends_the_span_saves_and_leaves(annealed, tmp_path, monkeypatch
         patch.setattr(Annealer, "advance", interrupted)
         assert main([*LONG, "--out", str(folder)]) == 128 + number
     error = capsys.readouterr().err
-    assert f"stopped by {number.name} after sweep 40 of 50" in error and "--resume" in error
-    assert storage.load_checkpoint(folder / "checkpoint.npz").state.sweep == 40 == count_rows(folder / "sweeps.csv") - 1
+    assert f"stopped by {number.name} after sweep 15 of 30" in error and "--resume" in error
+    assert storage.load_checkpoint(folder / "checkpoint.npz").state.sweep == 15 == count_rows(folder / "sweeps.csv") - 1
     assert not list(folder.glob(".*")) and not (folder / "backbones.csv").exists()
     assert main(["anneal", "--out", str(folder), "--resume"]) == 0
     assert same_run(folder, annealed)

@@ -14,7 +14,6 @@ from jaxtissue import PRESETS, CellMeasurer, Resolution, Tube, measure_tissue
 from jaxtissue.neighbors.search import TILES, find_defect
 from jaxtissue.neighbors.shortlists import CANDIDATES
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
 TUBE = Tube(60.0, 1.0, 8.0)
 CELLS = 181  # not so many for each of 3 devices
 SIZES = ("volume", "lateral_area")

@@ -14,7 +14,7 @@ from jaxtissue.geometry.domain_files import save_domain
 from jaxtissue.runs.batches import Outcome
 from jaxtissue.runs.plots import Tissue, plot_surfaces
 
-pytestmark = pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
+pytestmark = pytest.mark.usefixtures("coarse_pictures")
 CYST = jt.Sphere(1, 1.5)
 
 

@@ -17,7 +17,6 @@ from jaxtissue.energy import in_precision
 from jaxtissue.measurement.quadrature import as_resolution
 from jaxtissue.runs.settings import FORMAT, Settings, saved_settings
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
 EGG = jt.Ellipsoid(apical_axes=[2, 1, 1], basal_axes=[2.5, 1.5, 1.5])
 SHEET = jt.Slab(width=4, depth=3, thickness=1, periodic=(True, False))
 CELLS = 40

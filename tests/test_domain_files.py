@@ -13,7 +13,7 @@ from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import read_backbones
 
-pytestmark = pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
+pytestmark = pytest.mark.usefixtures("coarse_pictures")
 SIZES = {"shape": "tube", "length": 12, "apical_radius": 2, "basal_radius": 4}
 FLAGS = ("--length", "12", "--apical-radius", "2", "--basal-radius", "4")
 

@@ -19,7 +19,7 @@ from jaxtissue.neighbors.section_lists import find_sections
 from jaxtissue.runs import storage
 from jaxtissue.sections.cells import plan_layers
 
-pytestmark = pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
+pytestmark = pytest.mark.usefixtures("coarse_pictures")
 PI = math.pi
 CELLS = 80
 EGG = jt.Ellipsoid([2, 1, 1], [2.5, 1.5, 1.5])

@@ -123,7 +123,7 @@ def test_an_energy_that_turns_infinite_is_told() -> None:
     require_finite(np.ones(3, np.float32), model)
 
 
-def test_relative_constants_anneal_a_tissue_alike_in_every_unit(quickest_compile) -> None:
+def test_relative_constants_anneal_a_tissue_alike_in_every_unit() -> None:
     share, runs = np.random.default_rng(0).random((12, 2)), []
     for unit in (1.0, 1000.0):
         tube = Tube(20 * unit, unit, 3 * unit)

@@ -13,7 +13,7 @@ from jaxtissue.cli.commands import main
 from jaxtissue.images.drawing import draw_turned
 from jaxtissue.images.image_files import read_image
 
-pytestmark = pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
+pytestmark = pytest.mark.usefixtures("coarse_pictures")
 TUBE = jt.Tube(5, 1, 2.5)
 POSITIONS = np.array([[x, t + 0.5 * (x > 2)] for x in (0.8, 2.4, 4.1) for t in (0.2, 1.8, 3.3, 4.9)])
 SPACING = (0.2, 0.1, 0.1)

@@ -11,7 +11,6 @@ from jaxtissue.measurement.quadrature import PRESETS, plan_lines, trace_lines
 from jaxtissue.minimization.placed_energy import PlacedEnergy
 from jaxtissue.minimization.relaxation import MINIMIZERS
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
 WITH_GRADIENT = jax.jit(jax.value_and_grad(jt.tissue_energy), static_argnames="resolution")
 TUBE, CELLS = jt.Tube(length=16.0, apical_radius=2.0, basal_radius=5.0), 60
 

@@ -10,7 +10,6 @@ from jaxtissue.images.frame import frame_of_axis
 from jaxtissue.images.label_images import close_gaps, remove_specks
 from jaxtissue.images.voxel_faces import face_areas, face_normals, find_faces
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
 TUBE = jt.Tube(10, 1.5, 4)
 CELLS = 40
 TURNED = Rotation.from_euler("zyx", [33, -21, 50], degrees=True).as_matrix()

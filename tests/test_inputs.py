@@ -19,7 +19,6 @@ from jaxtissue.topology.transitions import find_forms
 TUBE = jt.Tube(20, 1, 3)
 WHOLE = [[1, 0], [3, 2], [7, 4], [12, 1], [18, 5], [5, 3]]
 FLOATS = np.array(WHOLE, float)
-pytestmark = pytest.mark.usefixtures("quickest_compile")
 
 
 class Frame:

@@ -11,7 +11,6 @@ from conftest import read_reference
 import jaxtissue as jt
 from jaxtissue.topology import domain_connectivity
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
 BENT = jt.BentTube(8, 1.5, 1.5, 3)
 
 

@@ -25,6 +25,7 @@ from jaxtissue.measurement.cells import measure_cells
 from jaxtissue.measurement.quadrature import PRESETS
 from jaxtissue.neighbors.search import pad_lists, split_by_side
 
+pytestmark = pytest.mark.usefixtures("optimized")
 CELLS = 300
 TUBE = Tube(length=60.0, apical_radius=1.0, basal_radius=10.0)
 PRESET = PRESETS["draft"]
@@ -80,7 +81,7 @@ class Bench:
 
 
 @pytest.fixture(scope="module")
-def shared_bench():
+def shared_bench(optimized):
     with jax.enable_x64(True):
         return Bench()
 

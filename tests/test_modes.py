@@ -13,7 +13,6 @@ from jaxtissue.geometry.backbones import distance_between_segments, distance_to_
 from jaxtissue.neighbors.search import check_angles, find_candidates, tiling_defect
 from jaxtissue.runs import plots
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
 STRICT = {
     "numpy_dtype_promotion": "strict",
     "numpy_rank_promotion": "raise",

@@ -39,7 +39,7 @@ def small(monkeypatch):
     monkeypatch.setattr("jaxtissue.pictures.outsides.PIXELS", 30_000)
 
 
-@pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
+@pytest.mark.usefixtures("coarse_pictures")
 def test_measure_leaves_pictures_and_a_page_that_needs_nothing_else(tissue, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(formats, "LEFT", ("tissue", "scutoid"))
     save_tissue(tmp_path, TUBE, BackboneTable(tissue.positions, None))

@@ -17,7 +17,6 @@ from jaxtissue.dynamics.annealer import Annealer
 from jaxtissue.measurement.cells import measure_cells
 from jaxtissue.measurement.quadrature import plan_lines
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
 TUBE = jt.Tube(length=12, apical_radius=1, basal_radius=3)
 CELLS = 40
 STEP = jax.jit(jt.step)

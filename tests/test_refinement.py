@@ -16,8 +16,6 @@ from jaxtissue.tissue.measurer import doubts, measure_tissue
 from jaxtissue.tissue.refinement import LIMITS, near_twins
 from jaxtissue.topology.statistics import find_connectivity
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
-
 
 def ring(cells: int, axial: float, jitter: float, turn: float = 0.0) -> np.ndarray:
     """Backbones evenly round the tube, but for a jitter in both directions, at one height."""

@@ -16,7 +16,7 @@ from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.quadrature import PRESETS
 from jaxtissue.neighbors import shortlists
 
-pytestmark = pytest.mark.usefixtures("quick_compile")
+pytestmark = pytest.mark.usefixtures("optimized")
 
 CELLS = 24
 SWEEPS = 4
@@ -54,7 +54,7 @@ def play(kinds: list, slots: int = 0) -> list:
 
 
 @pytest.fixture(scope="module")
-def together(quick_compile) -> tuple[list, int]:
+def together(optimized) -> tuple[list, int]:
     """What four different replicas tell that run together, and how many programs were compiled for it."""
     before = len(PROGRAMS)
     told = play(KINDS, SLOTS)

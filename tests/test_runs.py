@@ -17,7 +17,7 @@ from jaxtissue.runs import storage
 from jaxtissue.system.files import read_sealed, write_sealed
 from jaxtissue.system.locks import Lock, alone, together
 
-pytestmark = pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
+pytestmark = pytest.mark.usefixtures("coarse_pictures")
 SWEEPS = (*SMALL, "--sweeps", "20")
 
 
@@ -36,7 +36,7 @@ def stop_at(sweep: int, folder: Path, *more: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def whole(quickest_compile, coarse_pictures, tmp_path_factory) -> Path:
+def whole(coarse_pictures, tmp_path_factory) -> Path:
     """The folder of a run of 20 sweeps."""
     folder = tmp_path_factory.mktemp("runs") / "whole"
     assert main([*SWEEPS, "--out", str(folder)]) == 0
@@ -44,7 +44,7 @@ def whole(quickest_compile, coarse_pictures, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def stopped(quickest_compile, coarse_pictures, tmp_path_factory) -> Path:
+def stopped(coarse_pictures, tmp_path_factory) -> Path:
     """The folder of the same run stopped after sweep 10."""
     folder = tmp_path_factory.mktemp("runs") / "stopped"
     stop_at(8, folder)

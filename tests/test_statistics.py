@@ -23,12 +23,11 @@ from jaxtissue.topology.statistics import (
 )
 from jaxtissue.topology.transitions import CellForms, Transitions
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
 TUBE, CELLS = Tube(15, 1, 10), 60  # one tube for all: each compiles anew
 
 
 @pytest.fixture(scope="module")
-def tissues(quickest_compile):
+def tissues():
     """Positions and connectivity of one tissue, random and after a few sweeps."""
     start = np.random.default_rng(5).uniform([0, 0], [15, 2 * math.pi], (CELLS, 2)).astype(np.float32)
     schedule = constant_schedule(2.0, 3)

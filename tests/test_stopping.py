@@ -15,8 +15,6 @@ from jaxtissue.compilation.batching import keep_compiled
 from jaxtissue.reproduction.workers import Workers
 from jaxtissue.runs.storage import cut_sweeps, load_checkpoint
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
-
 
 def wait_for(path: Path, run: subprocess.Popen) -> None:
     """Wait until a command has made a file."""

@@ -7,15 +7,13 @@ import sys
 import time
 from pathlib import Path
 
-import pytest
 import quick
 from test_cli import SIZES, SMALL, restore_precision  # noqa: F401
 
 import jaxtissue
 from jaxtissue.cli.commands import main
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
-RUN = (*SMALL, "--no-contacts", "--sweeps", "20")
+RUN = (*SMALL, "--no-contacts", "--sweeps", "6")
 BACKBONES = "axial,angle\n1,0\n5,2\n9,4\n"
 LOST = f"""
 import pwd

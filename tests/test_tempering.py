@@ -10,8 +10,7 @@ import jaxtissue as jt
 from jaxtissue.dynamics.annealer import advance_together
 from jaxtissue.dynamics.tempering import exchange_chance
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
-TUBE, CELLS, SWEEPS = jt.Tube(length=4.0, apical_radius=1.0, basal_radius=3.0), 8, 60
+TUBE, CELLS, SWEEPS = jt.Tube(length=4.0, apical_radius=1.0, basal_radius=3.0), 6, 60
 TEMPERATURES = [2.0, 4.0, 8.0]
 
 
