@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import read_reference
-from scipy.spatial import SphericalVoronoi, Voronoi
+from scipy.spatial import SphericalVoronoi
 
 import jaxtissue as jt
 from jaxtissue.cli.commands import main
@@ -122,25 +122,6 @@ def test_positions_are_wrapped_or_refused_by_direction():
         as_domain_positions([[5, 1]], jt.Slab(4, 3, 2))
     table = {"x": [1, 2], "y": [1, 1]}
     np.testing.assert_array_equal(as_domain_positions(table, jt.Slab(4, 3, 2)), [[1, 1], [2, 1]])
-
-
-def test_a_periodic_slab_has_prisms_over_the_plane_diagram():
-    """Exactly 6 neighbors on the mean, and areas of the plane diagram to rounding of single precision."""
-    slab = jt.Slab(6, 5, 2, periodic=(True, True))
-    place = np.asarray(slab.random_positions(jax.random.key(1), 40))
-    found = find_sections(slab, as_domain_positions(place, slab), plan_layers(1, check=False))
-    volume, area, edges = found.sizes.volume[0], found.sizes.lateral_area[0], np.asarray(found.sections.is_edge)
-    copies = np.concatenate([place + np.array([6 * u, 5 * v]) for u in (0, -1, 1) for v in (0, -1, 1)])
-    diagram = Voronoi(copies)
-    for cell in range(40):
-        x, y = diagram.vertices[diagram.regions[diagram.point_region[cell]]].T
-        order = np.argsort(np.arctan2(y - y.mean(), x - x.mean()))
-        x, y = x[order], y[order]
-        inside = (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
-        rim = np.hypot(x - np.roll(x, 1), y - np.roll(y, 1)).sum()
-        assert float(volume[cell]) == pytest.approx(2 * inside, rel=1e-4, abs=1e-5)
-        assert float(area[cell]) == pytest.approx(2 * rim, rel=1e-4)
-    assert edges.sum(axis=(0, 2)).tolist() == [6 * 40] * 3
 
 
 def test_a_sphere_has_the_cells_of_the_spherical_diagram():

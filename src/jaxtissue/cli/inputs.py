@@ -6,6 +6,7 @@ from typing import Any
 
 from jaxtissue.geometry.domain_files import load_domain, load_tube
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import domain_of
 from jaxtissue.geometry.tube import TUBE_SIZES, Tube
 from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
 from jaxtissue.runs.distributed import Part, join, slurm_part
@@ -44,7 +45,8 @@ def found_contacts(positions: Any, domain: Tube | Domain, minimum: float) -> Con
 def read_tissue(arguments: dict[str, Any]) -> tuple[Tube | Domain, BackboneTable]:
     """The tube or other domain and the backbones that a command is given."""
     domain = given_domain(arguments, load_domain) or Tube(*_tube_sizes(arguments))
-    return domain, read_backbones(arguments["file"], domain, arguments["degrees"])
+    backbones = read_backbones(arguments["file"], domain, arguments["degrees"], bent=True)
+    return domain_of(domain, backbones.positions), backbones
 
 
 def given_domain(

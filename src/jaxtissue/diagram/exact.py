@@ -18,6 +18,7 @@ from jaxtissue.diagram.facet_moments import Clip, Edges, at, clipped_moments, st
 from jaxtissue.diagram.layer_cuts import measure_layers
 from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import domain_of
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 
@@ -82,7 +83,8 @@ def exact_cells(positions: ArrayLike, domain: Tube | Domain, samples: int = 50) 
 
     Args:
         positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
-            columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+            columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3],
+            or those of the nodes of tilted and bent backbones, as `measure_tissue` takes them.
         domain: The tube or other domain.
         samples: Number of sample points per backbone, both ends included, at least 2. Defaults to 50.
 
@@ -102,9 +104,10 @@ def exact_cells(positions: ArrayLike, domain: Tube | Domain, samples: int = 50) 
     """
     if samples < 2:
         raise ValueError(f"samples = {samples}: a backbone needs its two ends, give samples >= 2")
+    domain = domain_of(domain, positions)
     if isinstance(domain, Domain):
-        parts = max(2, round(samples / A_LAYER))
-        return _walled(*measure_layers(as_domain_positions(positions, domain, np.float64), domain, parts, parts))
+        parts, place = max(2, round(samples / A_LAYER)), as_domain_positions(positions, domain, np.float64, bent=True)
+        return _walled(*measure_layers(place, domain, parts, parts))
     tube = domain
     radii = float(tube.length / tube.basal_radius)
     if radii > LONGEST:

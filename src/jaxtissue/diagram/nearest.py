@@ -8,56 +8,65 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxtissue.compilation.modes import double_precision, usual_modes
-from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain, in_doubles
-from jaxtissue.geometry.vectors import components, rows
+from jaxtissue.geometry.nodes import as_nodes, node_points, with_copies
+from jaxtissue.geometry.vectors import rows
 
 TABLE = 2**16  # distances in one table: what fits the processor's cache
 TILE = 8  # points of a grid that are looked at together, to either side
 
 
 @jax.jit
-def _ends(domain: Domain, positions: Array) -> Array:
-    return jnp.stack([rows(surface) for surface in domain.surfaces(components(positions))])
+def _nodes(domain: Domain, positions: Array) -> Array:
+    """The ends of the straight pieces of backbones and of their copies, [pieces + 1, e, 3]."""
+    if positions.ndim == 2:
+        positions = jnp.stack([positions, positions], axis=1)
+    return rows(node_points(with_copies(as_nodes(positions, domain), domain), domain))
 
 
 class Crowd:
     """The backbones of a tissue and their copies beyond periodic directions.
 
     Attributes:
-        cells: n; segment number k is backbone k mod n, or a copy of it.
-        start: The apical ends, [e, 3].
-        along: From there to the basal ends.
+        cells: n; backbone number k is backbone k mod n, or a copy of it.
+        start: Where their straight pieces begin at the apical side, [pieces, e, 3].
+        along: From there to where they end.
     """
 
-    def __init__(self, positions: Float[np.ndarray, "n d"], domain: Domain) -> None:
-        base, place = domain.base, np.asarray(positions, float)
-        copies = place[None]
-        if isinstance(base, Rectangle):
-            copies = place + base.images()[:, None] * np.array([float(extent) for extent in base.extent])
+    def __init__(self, positions: Float[np.ndarray, "n d"] | Float[np.ndarray, "n k d"], domain: Domain) -> None:
         with usual_modes(), double_precision():
-            ends = _ends(in_doubles(domain), jnp.asarray(copies.reshape(-1, place.shape[1])))
-        self.cells, self.start = len(place), np.asarray(ends[0])
-        self.along = np.asarray(ends[1]) - self.start
-        self.square = (self.along**2).sum(axis=1)
+            nodes = np.asarray(_nodes(in_doubles(domain), jnp.asarray(np.asarray(positions, float))))
+        self.cells, self.start, self.along = len(positions), nodes[:-1], np.diff(nodes, axis=0)
+        self.square = (self.along**2).sum(axis=-1)
 
-    def offset(self, points: Float[np.ndarray, "... 3"], segment: Int[np.ndarray, "..."]) -> np.ndarray:
-        """From the nearest point of a segment to each point."""
-        way, along = points - self.start[segment], self.along[segment]
-        share = np.clip((way * along).sum(axis=-1) / self.square[segment], 0, 1)
-        return way - share[..., None] * along
+    def offset(self, points: Float[np.ndarray, "... 3"], number: Int[np.ndarray, "..."]) -> np.ndarray:
+        """From the nearest point of a backbone to each point."""
+        best, least = np.zeros(0), np.zeros(0)
+        for piece, (starts, ways, square) in enumerate(zip(self.start, self.along, self.square, strict=True)):
+            way, along = points - starts[number], ways[number]
+            share = np.clip((way * along).sum(axis=-1) / square[number], 0, 1)
+            away = way - share[..., None] * along
+            if len(self.start) == 1:
+                return away
+            far = (away**2).sum(axis=-1)
+            best = np.where((far < least)[..., None], away, best) if piece else away
+            least = np.minimum(far, least) if piece else far
+        return best
 
     def distances(self, points: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "p e"]:
-        """The distances from each point to all segments."""
-        way = (points**2).sum(axis=1)[:, None] - 2 * points @ self.start.T + (self.start**2).sum(axis=1)
-        forward = points @ self.along.T - (self.start * self.along).sum(axis=1)
-        share = np.clip(forward / self.square, 0, 1)
-        return np.sqrt(np.maximum(way - share * (2 * forward - share * self.square), 0))
+        """The distances from each point to all backbones."""
+        found = np.inf
+        for start, along, square in zip(self.start, self.along, self.square, strict=True):
+            way = (points**2).sum(axis=1)[:, None] - 2 * points @ start.T + (start**2).sum(axis=1)
+            forward = points @ along.T - (start * along).sum(axis=1)
+            share = np.clip(forward / square, 0, 1)
+            found = np.minimum(found, way - share * (2 * forward - share * square))
+        return np.sqrt(np.maximum(found, 0))
 
     def nearest(self, points: Float[np.ndarray, "p 3"]) -> Int[np.ndarray, " p"]:
-        """The number of the nearest segment of each point."""
+        """The number of the nearest backbone of each point."""
         found = np.empty(len(points), int)
-        for some in _slices(len(points), len(self.start)):
+        for some in _slices(len(points), self.start.shape[1]):
             found[some] = self.distances(points[some]).argmin(axis=1)
         return found
 
@@ -66,7 +75,7 @@ class Crowd:
         middle = points.mean(axis=1)
         radius = np.linalg.norm(points - middle[:, None], axis=-1).max(axis=1)
         found = np.empty(points.shape[:2], int)
-        for some in _slices(len(points), len(self.start)):
+        for some in _slices(len(points), self.start.shape[1]):
             apart = self.distances(middle[some])
             possible = apart <= apart.min(axis=1)[:, None] + 2 * radius[some, None] * (1 + 1e-9) + 1e-300
             count = int(possible.sum(axis=1).max())

@@ -13,8 +13,10 @@ from scipy.spatial import KDTree
 from jaxtissue.compilation.modes import double_precision, usual_modes
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain, in_doubles
-from jaxtissue.geometry.positions import BACKBONES, ROUNDING, SAME, X64, Rows, as_numbers, as_positions
+from jaxtissue.geometry.nodes import ENDS, as_nodes, domain_of, has_nodes, heights_of, node_points
+from jaxtissue.geometry.positions import BACKBONES, ROUNDING, SAME, STRAIGHT, X64, Rows, as_numbers, as_positions
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.geometry.vectors import rows as as_rows
 
 SHORT = 0.1  # the least length of a vector that is a direction
 
@@ -30,24 +32,37 @@ def as_positions_on(
     dtype: DTypeLike | None = None,
     rows: Rows = BACKBONES,
     sizes: bool = True,
+    bent: bool = False,
 ) -> Float[np.ndarray, "n d"]:
     """Positions on a tube or any other domain, by `as_positions` or `as_domain_positions`."""
+    domain = domain_of(domain, positions) if bent else domain
     if isinstance(domain, Domain):
-        return as_domain_positions(positions, domain, dtype, rows)
+        return as_domain_positions(positions, domain, dtype, rows, bent)
     return as_positions(positions, domain, dtype, rows, sizes)
+
+
+def place_columns(positions: Float[np.ndarray, "n d"], domain: Tube | Domain) -> dict[str, np.ndarray]:
+    """The coordinates of backbones by names of columns, with the end before those of tilted and bent ones."""
+    names = column_names(domain)
+    if positions.ndim == 2:
+        return dict(zip(names, positions.T, strict=True))
+    ends = zip(ENDS, (positions[:, 0], positions[:, -1]), strict=True)
+    return {f"{end}_{name}": place[:, k] for end, place in ends for k, name in enumerate(names)}
 
 
 @usual_modes()
 def as_domain_positions(
-    positions: Any, domain: Domain, dtype: DTypeLike | None = None, rows: Rows = BACKBONES
+    positions: Any, domain: Domain, dtype: DTypeLike | None = None, rows: Rows = BACKBONES, bent: bool = False
 ) -> Float[np.ndarray, "n d"]:
     """Positions on a domain as an array of floats, [n, d], within it: unit vectors normalized, periods taken off.
 
-    The input may be anything that NumPy reads as real numbers, and tables with the domain's columns.
+    The input may be anything that NumPy reads as real numbers, and tables with the domain's columns. With `bent` it may
+    be that of tilted and bent backbones too, [n, k, d] or [n, k, d + 1], as `geometry.nodes` has them.
 
     Raises:
         ValueError: If the input holds no real numbers or has another shape, if numbers are not finite or outside the
-            domain, if a vector has no direction, or if two backbones are one in this precision.
+            domain, if a vector has no direction, if two backbones are one in this precision or meet at a node, or if
+            heights of nodes don't rise from 0 to 1.
 
     >>> from jaxtissue.geometry.shapes import Sphere
     >>> as_domain_positions([[0, 0, 2], [3, 0, 0]], Sphere(1, 2)).tolist()
@@ -57,15 +72,50 @@ def as_domain_positions(
     if isinstance(positions, Tracer):
         return positions  # type: ignore[return-value]
     given = as_numbers(positions, columns)
+    if has_nodes(given):
+        if not bent:
+            raise ValueError(f"positions of shape {given.shape}: {STRAIGHT}")
+        return _with_nodes(given, domain, dtype, rows)
     if given.ndim != 2 or given.shape[1] != len(columns) or not len(given):
         wanted = f"give ({', '.join(columns)}) rows, [n, {len(columns)}], n >= 1"
         raise ValueError(f"positions of shape {given.shape}: {wanted}")
-    for row, column in np.argwhere(~np.isfinite(given)).tolist():
-        raise ValueError(f"{rows.one(row)}: {columns[column]}={given[row, column]} is not a finite number; correct it")
+    _refuse_infinite(given, columns, rows)
     place = _within(given, domain, rows)
     rounded = place.astype(np.dtype(jnp.result_type(float) if dtype is None else dtype))
     _refuse_same(rounded, domain, rows)
     return rounded
+
+
+def _with_nodes(
+    given: Float[np.ndarray, "n k d"], domain: Domain, dtype: DTypeLike | None, rows: Rows
+) -> Float[np.ndarray, "n k d"]:
+    """The same for positions of nodes."""
+    columns, (n, k, size) = domain.columns, given.shape
+    d = len(columns)
+    if not n or k < 2 or size not in (d, d + 1):
+        wanted = f"give ({', '.join(columns)}) of k nodes, [n, k, {d}], k >= 2, or with their heights, [n, k, {d + 1}]"
+        raise ValueError(f"positions of shape {given.shape}: {wanted}")
+    nodes = rows.of_nodes(n, k)
+    _refuse_infinite(given.reshape(n * k, size), (*columns, "height"), nodes)
+    height = heights_of(given, domain)
+    falls = (height[:, 0] != 0) | (height[:, -1] != 1) | ~(np.diff(height, axis=1) > 0).all(axis=1)
+    for row in np.flatnonzero(falls).tolist():
+        told = ", ".join(f"{value:g}" for value in height[row])
+        raise ValueError(f"{nodes.one(row * k)}: nodes at heights {told}; let them rise from 0 to 1")
+    place = given.copy()
+    place[..., :d] = _within(given[..., :d].reshape(n * k, d), domain, nodes).reshape(n, k, d)
+    rounded = place.astype(np.dtype(jnp.result_type(float) if dtype is None else dtype))
+    with double_precision():
+        points = np.asarray(_embed_nodes(in_doubles(domain), jnp.asarray(rounded, float))).reshape(n * k, 3)
+    for i, j in _same(points, rounded.dtype):
+        told = f"meet at {', '.join(f'{v:.7g}' for v in place.reshape(n * k, size)[i])}; move one"
+        raise ValueError(f"{nodes.two(i, j)} {told}")
+    return rounded
+
+
+def _refuse_infinite(given: Float[np.ndarray, "n d"], columns: tuple[str, ...], rows: Rows) -> None:
+    for row, column in np.argwhere(~np.isfinite(given)).tolist():
+        raise ValueError(f"{rows.one(row)}: {columns[column]}={given[row, column]} is not a finite number; correct it")
 
 
 def _within(given: np.ndarray, domain: Domain, rows: Rows) -> np.ndarray:
@@ -91,12 +141,22 @@ def _within(given: np.ndarray, domain: Domain, rows: Rows) -> np.ndarray:
 def _refuse_same(place: np.ndarray, domain: Domain, rows: Rows) -> None:
     with double_precision():
         ends = np.asarray(_embed(in_doubles(domain), jnp.asarray(place, float)))
-    size = np.ptp(ends, axis=0).max()
-    for i, j in sorted(KDTree(ends).query_pairs(SAME * float(np.finfo(place.dtype).eps) * max(size, 1e-300))):
+    for i, j in _same(ends, place.dtype):
         same = f"are the same backbone, {', '.join(f'{v:.7g}' for v in place[i])}; remove one"
         raise ValueError(f"{rows.two(i, j)} {same}" + f" (or {X64})" * (place.dtype == np.float32))
+
+
+def _same(points: Float[np.ndarray, "p 3"], dtype: np.dtype) -> list[tuple[int, int]]:
+    """The pairs of points that are one in this precision."""
+    size = np.ptp(points, axis=0).max()
+    return sorted(KDTree(points).query_pairs(SAME * float(np.finfo(dtype).eps) * max(size, 1e-300)))
 
 
 @jax.jit
 def _embed(domain: Domain, positions: jax.Array) -> jax.Array:
     return domain.embed(positions).basal
+
+
+@jax.jit
+def _embed_nodes(domain: Domain, positions: jax.Array) -> jax.Array:
+    return jnp.swapaxes(as_rows(node_points(as_nodes(positions, domain), domain)), 0, 1)

@@ -20,6 +20,7 @@ NEAR = 100  # roundings, in units of R_b and of the angle: nearer, volumes err b
 FEW = 4  # nearest backbones, itself included, that are looked at
 TILT = 0.1  # radians by which rounding of two places may turn the wall between them
 NO_NUMBERS = str | bytes | bool | None  # though Python makes floats of some
+STRAIGHT = "tilted and bent backbones are only measured yet (measure --no-contacts, compare); give straight ones here"
 X64 = "use 64 bits (--x64, jax_enable_x64)"
 
 
@@ -28,7 +29,7 @@ class Rows(NamedTuple):
 
     prefix: str = ""
     noun: str = "backbone"
-    numbers: Sequence[int] | None = None
+    numbers: Sequence[int | str] | None = None
 
     def one(self, row: int) -> str:
         """The name of one row."""
@@ -38,7 +39,14 @@ class Rows(NamedTuple):
         """The name of two rows."""
         return f"{self.prefix}{self.noun}s {self._number(first)} and {self._number(second)}"
 
-    def _number(self, row: int) -> int:
+    def of_nodes(self, count: int, nodes: int) -> "Rows":
+        """The names of the nodes of so many backbones, where these have no numbers of their own."""
+        if self.numbers is not None and len(self.numbers) == count * nodes:
+            return self
+        numbers = [f"{self._number(row)} (node {node})" for row in range(count) for node in range(nodes)]
+        return self._replace(numbers=numbers)
+
+    def _number(self, row: int) -> int | str:
         return row if self.numbers is None else self.numbers[row]
 
 
@@ -125,6 +133,8 @@ def as_numbers(positions: Any, names: tuple[str, ...] = ("axial", "angle")) -> F
 
 
 def _check_shape(shape: tuple[int, ...]) -> None:
+    if len(shape) == 3:
+        raise ValueError(f"positions of shape {shape}: {STRAIGHT}")
     if len(shape) != 2 or shape[1] != 2 or not shape[0]:
         raise ValueError(f"positions of shape {shape}: give (axial, angle) rows, [n, 2], n >= 1")
 

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Array, Int
 
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import as_nodes
 from jaxtissue.geometry.vectors import components
 from jaxtissue.sections.cells import MANY_SLOTS, RULE, CellSizes, Layers, cell_sections, cell_sizes, corner_points
-from jaxtissue.sections.crowd import Crowd, as_array, extended, first_lists, gather_crowd, missing
+from jaxtissue.sections.crowd import Crowd, as_array, extended, first_lists, gather_bent, gather_crowd, missing
 from jaxtissue.sections.polygons import Rule, Sections
 
 ROUNDS = 8  # of looking for missing neighbors
@@ -40,7 +41,9 @@ def _measure(
 
 @jax.jit
 def _crowd(domain: Domain, positions: Array) -> Any:
-    return gather_crowd(domain, components(positions)).segments
+    if positions.ndim == 2:
+        return gather_crowd(domain, components(positions)).segments
+    return gather_bent(domain, as_nodes(positions, domain)).segments
 
 
 def find_sections(domain: Domain, positions: np.ndarray, layers: Layers, rule: Rule = RULE) -> Measured:
@@ -67,7 +70,8 @@ def look_through(
     if (np.asarray(sections.spare) > 0).any() and rule.slots < MANY_SLOTS:
         return look_through(domain, positions, lists, layers, rule._replace(slots=MANY_SLOTS))
     count = layers.heights.shape[0]
-    shown = sorted({0, count // 3, count - 2, count - 1})
+    # straight backbones near each other on these layers are near in between; bent ones need not be
+    shown = sorted({0, count // 3, count - 2, count - 1}) if positions.ndim == 2 else list(range(count))
     is_point = np.asarray(is_point)[:, :, shown]
     cells = np.broadcast_to(np.arange(n), is_point.shape)[is_point]
     crowd = Crowd(_crowd(domain, positions), n)

@@ -13,10 +13,11 @@ from jaxtyping import Float
 
 from jaxtissue.geometry.domain_positions import as_positions_on, column_names
 from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.positions import Rows
+from jaxtissue.geometry.positions import STRAIGHT, Rows
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.runs.centroid_tables import DOUBT, centroid_columns, place_centroids
 from jaxtissue.runs.names import from_field
+from jaxtissue.runs.node_tables import group_nodes, tilted_columns
 
 SEPARATORS = ",;\t"
 LABELS = ("name", "cell", "label", "id", "")  # columns that may name cells, in this order
@@ -57,7 +58,7 @@ class _Table(NamedTuple):
         return [row[at] for row in self.rows]
 
 
-def read_backbones(path: Path, domain: Tube | Domain, degrees: bool = False) -> BackboneTable:
+def read_backbones(path: Path, domain: Tube | Domain, degrees: bool = False, bent: bool = False) -> BackboneTable:
     """The backbones of a table with the domain's columns, as `axial` and `angle`, and names of cells if it has any.
 
     Fields are set apart by commas, semicolons or tabs; with the last two, numbers may have decimal commas.
@@ -67,6 +68,9 @@ def read_backbones(path: Path, domain: Tube | Domain, degrees: bool = False) -> 
     that has another name for each cell. Other columns are left aside. Where a table for a `Tube` has no backbones, but
     x, y and z of centroids, the backbones through these are taken, with a warning.
 
+    With `bent`, backbones may be tilted, with columns for both ends, `apical_axial` and so on, or bent, with a row for
+    each node: rows of one `cell` at several values of `height`. Their positions have an axis for nodes.
+
     Raises `ValueError`, naming file, line, value and fix, for a file that is empty or not UTF-8, a quote that
     is not closed or swallows rows, a missing column or one that is there twice, lines with fields too many,
     what is no number, no cells, names that are empty or repeated, degrees for a domain without angles, and
@@ -74,19 +78,45 @@ def read_backbones(path: Path, domain: Tube | Domain, degrees: bool = False) -> 
     """
     columns = column_names(domain)
     table = _read_table(path, columns, isinstance(domain, Tube))
+    tilted, nodes = table.columns == tilted_columns(columns), table.columns == columns and _has_nodes(table)
+    if (tilted or nodes) and not bent:
+        raise ValueError(f"{path} has {'tilted' if tilted else 'bent'} backbones: {STRAIGHT}")
     positions = np.stack([_numbers(table, name) for name in table.columns], axis=-1)
-    if table.columns is not columns and isinstance(domain, Tube):
+    names = None if nodes else _find_names(table)
+    if table.columns == columns or tilted:
+        positions = _in_radians(table, positions, degrees)
+    elif isinstance(domain, Tube):
         positions = _place(table, positions, domain, degrees)
-    elif "angle" in columns:
-        positions[:, 1] = _radians(table, positions[:, 1], degrees)
-    elif degrees:
-        raise ValueError(f"--degrees is for angles, and {path} has {', '.join(columns)}; leave it out")
     rows = Rows(f"{path} ", "line", table.lines)
-    place = as_positions_on(positions, domain, np.float64, rows)
-    as_positions_on(place, domain, rows=rows, sizes=False)  # none are one in the precision JAX works in
+    if tilted:
+        positions = positions.reshape(len(positions), 2, -1)
+    elif nodes:
+        cells = [from_field(field.strip()) for field in table.column("cell")]
+        positions, lines, names = group_nodes(path, table.lines, cells, _numbers(table, "height"), positions)
+        rows = rows._replace(numbers=lines)
+    place = as_positions_on(positions, domain, np.float64, rows, bent=bent)
+    as_positions_on(place, domain, rows=rows, sizes=False, bent=bent)  # none are one in the precision JAX works in
     if "angle" in columns:
-        place[:, 1] = np.mod(place[:, 1], 2 * math.pi) % (2 * math.pi)
-    return BackboneTable(place, _find_names(table))
+        place[..., 1] = np.mod(place[..., 1], 2 * math.pi) % (2 * math.pi)
+    return BackboneTable(place, names)
+
+
+def _has_nodes(table: _Table) -> bool:
+    """Whether a table has several rows for a cell, each of a height."""
+    if not {"cell", "height"} <= set(table.names):
+        return False
+    cells = table.column("cell")
+    return len(set(cells)) < len(cells)
+
+
+def _in_radians(table: _Table, positions: np.ndarray, degrees: bool) -> np.ndarray:
+    """The positions with all angles in radians."""
+    angles = [k for k, name in enumerate(table.columns) if name.split("_")[-1] == "angle"]
+    if degrees and not angles:
+        raise ValueError(f"--degrees is for angles, and {table.path} has {', '.join(table.columns)}; leave it out")
+    for k in angles:
+        positions[:, k] = _radians(table, table.columns[k], positions[:, k], degrees)
+    return positions
 
 
 def _place(table: _Table, points: np.ndarray, tube: Tube, degrees: bool) -> Float[np.ndarray, "n 2"]:
@@ -125,6 +155,8 @@ def _read_table(path: Path, columns: Sequence[str], centroids: bool) -> _Table:
     units = [unit[2].lower() if unit else "" for unit in brackets]
     if centroids and not set(columns) <= set(names):
         columns = centroid_columns(names) or columns
+    if set(tilted_columns(columns)) <= set(names) and not set(columns) <= set(names):
+        columns = tilted_columns(columns)
     for name in columns:
         if name not in names:
             found = f"{name!r} but {first.strip()!r}"
@@ -198,9 +230,9 @@ def _numbers(table: _Table, name: str) -> list[float]:
     return values
 
 
-def _radians(table: _Table, angle: Float[np.ndarray, " n"], degrees: bool) -> Float[np.ndarray, " n"]:
+def _radians(table: _Table, name: str, angle: Float[np.ndarray, " n"], degrees: bool) -> Float[np.ndarray, " n"]:
     """Angles in radians, by the header's unit or as told; a doubt where they look like degrees."""
-    unit = table.units[table.names.index("angle")]
+    unit = table.units[table.names.index(name)]
     if unit not in RADIANS + DEGREES or (degrees and unit in RADIANS[1:]):
         asked = "--degrees reads" if degrees else "angles are read in"
         told = f"{table.path} has angles in {unit!r} by its header {table.header!r}"

@@ -16,7 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 from jaxtissue.diagram.exact import exact_cells
 from jaxtissue.diagram.spread import covering_radius, separation
 from jaxtissue.energy import Model, require_finite, tissue_energies
-from jaxtissue.geometry.domain_positions import column_names
+from jaxtissue.geometry.domain_positions import as_positions_on, place_columns
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.cell_geometry import CellGeometry
@@ -100,7 +100,7 @@ def _tabulate_on_domain(
     """The same on domains other than tubes, without what is of distances between backbones."""
     energy = np.asarray(tissue_energies(cells, model))
     require_finite(energy, model)
-    columns = {"cell": np.arange(len(place))} | dict(zip(column_names(model.domain), place.T, strict=True))
+    columns = {"cell": np.arange(len(place))} | place_columns(place, model.domain)
     columns |= {name: np.asarray(getattr(cells, name)) for name in (*_SIZES, *_ERRORS)}
     columns |= {"energy": energy, "is_end": np.asarray(cells.touches_end)}
     if connectivity is not None:
@@ -181,7 +181,7 @@ def compare_presets(
     signed. They are not numbers where there is no lateral area.
     """
     exact, exact_seconds = _timed(lambda: exact_cells(np.asarray(positions), domain, samples))
-    positions, rows = domain.reflect(jnp.asarray(positions)), []
+    positions, rows = as_positions_on(positions, domain, sizes=False, bent=True), []
     for name, resolution in PRESETS.items():
         jax.block_until_ready(measure_tissue(positions, domain, resolution, refine=False))
         cells, seconds = _timed(lambda at=resolution: measure_tissue(positions, domain, at, refine=False))

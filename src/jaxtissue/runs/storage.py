@@ -11,6 +11,7 @@ from jaxtyping import ArrayLike, Float, Int
 
 from jaxtissue.dynamics.annealer import AnnealState
 from jaxtissue.dynamics.sweep_log import SweepRecord
+from jaxtissue.geometry.nodes import ENDS
 from jaxtissue.runs.names import to_field
 from jaxtissue.system.files import load_arrays, open_own, replacing, save_arrays
 
@@ -30,9 +31,22 @@ def write_backbones(
     names: Sequence[str] | None = None,
     columns: Sequence[str] = ("axial", "angle"),
 ) -> None:
-    """Write positions in a domain's columns, and names as `cell`, as `backbone_files.read_backbones` reads them."""
-    table = dict(zip(columns, np.asarray(positions).T, strict=True))
-    write_table(path, table | ({"cell": np.array(names, dtype=object)} if names else {}))
+    """Write positions in a domain's columns, and names as `cell`, as `backbone_files.read_backbones` reads them.
+
+    Tilted backbones have columns for both ends, bent ones a row for each node.
+    """
+    place, d, named = np.asarray(positions), len(columns), {"cell": np.array(names, dtype=object)} if names else {}
+    if place.ndim == 2:
+        table = dict(zip(columns, place.T, strict=True)) | named
+    elif place.shape[1] == 2:
+        ends = [(end, place[:, at]) for at, end in enumerate(ENDS)]
+        table = {f"{end}_{name}": part[:, axis] for end, part in ends for axis, name in enumerate(columns)} | named
+    else:
+        n, k, _ = place.shape
+        height = place[..., d] if place.shape[2] > d else np.tile(np.linspace(0, 1, k), (n, 1))
+        table = {"cell": np.repeat(np.array(names or range(n), dtype=object), k), "height": height.ravel()}
+        table |= {name: place[..., axis].ravel() for axis, name in enumerate(columns)}
+    write_table(path, table)
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:

@@ -12,6 +12,7 @@ from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain, in_doubles
+from jaxtissue.geometry.nodes import ends_on
 from jaxtissue.geometry.tube import Tube
 
 DEGREES = "angle (degrees)"
@@ -73,9 +74,10 @@ def _unrolled(
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1)
     units = np.array([_TURN if name == "angle" else 1.0 for name in domain.columns])
     right, top = (units * extent).tolist()
+    ends = ends_on(place, surface, domain)
     goes_on = base.directions[0] != "free", base.directions[1] != "free"
     return SurfaceMap(
-        "", _labels(place, domain, surface, grid), (0, right, 0, top), place * units, goes_on, bool((units != 1).any())
+        "", _labels(place, domain, surface, grid), (0, right, 0, top), ends * units, goes_on, bool((units != 1).any())
     )
 
 
@@ -89,7 +91,8 @@ def _seen(place: Float[np.ndarray, "n 3"], domain: Domain, surface: str, count: 
     labels = _labels(place, domain, surface, grid / np.linalg.norm(grid, axis=-1, keepdims=True))
     rim = _embedded(domain, surface, np.array([[-1.0, 0, 0], [1, 0, 0], [0, -sign, 0], [0, sign, 0]]))
     extent = (*rim[:2, 0].tolist(), *rim[2:, 1].tolist())
-    ends = _embedded(domain, surface, place[sign * place[:, 2] > 0])[:, :2]
+    ends = ends_on(place, surface, domain)
+    ends = _embedded(domain, surface, ends[sign * ends[:, 2] > 0])[:, :2]
     view = f"from {'above' if above else 'below'}"
     return SurfaceMap(view, np.where(inside, labels, -1), extent, ends, (False, False), False)
 

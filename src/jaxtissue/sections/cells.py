@@ -10,8 +10,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.compilation.fusion import take_rows
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import as_nodes, on_layers
 from jaxtissue.geometry.vectors import Vector, components
-from jaxtissue.sections.crowd import gather_crowd
+from jaxtissue.sections.crowd import gather_bent, gather_crowd
 from jaxtissue.sections.polygons import Rule, Sections, measure_sections
 from jaxtissue.sections.views import look
 
@@ -70,7 +71,7 @@ def plan_layers(count: int, check: bool = True) -> Layers:
 
 def cell_sections(
     domain: Domain,
-    positions: Float[Array, "n d"],
+    positions: Float[Array, "n d"] | Float[Array, "n k d"],
     lists: Int[Array, "q cells"],
     heights: Float[Array, " layers"],
     rule: Rule,
@@ -80,22 +81,28 @@ def cell_sections(
 
     Args:
         domain: The tissue.
-        positions: The positions of all backbones, [n, d].
+        positions: The positions of all backbones, [n, d], or of their nodes, as `geometry.nodes` has them.
         lists: The candidates of each cell that is measured, as numbers in the crowd, -1 for none.
         heights: The heights of the layers.
         rule: How a section is measured.
         cells: The numbers of the cells that are measured; all if None.
     """
-    place = components(jnp.asarray(positions))
-    crowd = gather_crowd(domain, place)
+    positions = jnp.asarray(positions)
+    heights = jnp.asarray(heights, positions.dtype)
 
     def some(table: Array) -> Array:
-        return table[: crowd.cells] if cells is None else take_rows(table, cells)
+        return table[: len(positions)] if cells is None else take_rows(table, cells)
 
+    if positions.ndim == 2:
+        place = components(positions)
+        crowd, centers = gather_crowd(domain, place), jax.tree.map(some, place)
+    else:
+        nodes = as_nodes(positions, domain)
+        crowd, centers = gather_bent(domain, nodes), tuple(some(part.T).T for part in on_layers(nodes, domain, heights))
     own = jax.tree.map(some, crowd.segments)
     rivals = jax.tree.map(lambda table: take_rows(table, lists), crowd.segments)
     # a candidate that is not there stands apart, lest it be the cell itself
-    view = look(domain, jax.tree.map(some, place), jnp.asarray(heights, place[0].dtype), own, rivals, lists >= 0)
+    view = look(domain, centers, heights, own, rivals, lists >= 0)
     return measure_sections(domain, view, rule)
 
 

@@ -9,10 +9,11 @@ from scipy.spatial import KDTree
 
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import Nodes, node_points, with_copies
 from jaxtissue.geometry.vectors import Vector, subtract
-from jaxtissue.sections.views import Segments
+from jaxtissue.sections.views import Backbones, Polylines, Segments
 
-NEAREST = 16  # on each of three layers
+NEAREST = 16  # at each of three points of a backbone, of bent ones at each of up to six
 SAMPLES = 9  # points of a backbone that are searched
 FOUND = 10, 160  # of these that are looked at round a corner, first, and where so few are not enough
 ROUNDING = 1e-4  # of its distance, by which a corner may be nearer to a candidate that is not listed
@@ -22,8 +23,23 @@ ROUND_UP = 8  # lists have multiples of so many candidates, so that fewer progra
 class Crowd(NamedTuple):
     """All backbones and their copies, [e]; number e is a copy of backbone e mod n, and the first n are themselves."""
 
-    segments: Segments
+    segments: Backbones
     cells: int  # n
+
+    def points(self, count: int) -> tuple[Float[np.ndarray, "count e 3"], Float[np.ndarray, "count e"]]:
+        """So many points of each backbone, from end to end, and how long it is up to there."""
+        start, along = self.pieces()
+        length = np.linalg.norm(along, axis=-1)
+        before = np.concatenate([np.zeros_like(length[:1]), np.cumsum(length, axis=0)])
+        place = np.linspace(0, len(start), count)
+        piece = np.minimum(place.astype(int), len(start) - 1)
+        share = (place - piece)[:, None]
+        return start[piece] + share[..., None] * along[piece], before[piece] + share * length[piece]
+
+    def pieces(self) -> tuple[Float[np.ndarray, "pieces e 3"], Float[np.ndarray, "pieces e 3"]]:
+        """Where the straight pieces of each backbone start, and where they go to from there, in 64 bits."""
+        start, along = (np.stack([np.asarray(part, float) for part in vector], axis=-1) for vector in self.segments)
+        return (start[None], along[None]) if start.ndim == 2 else (start.swapaxes(0, 1), along.swapaxes(0, 1))
 
 
 def gather_crowd(domain: Domain, place: Vector) -> Crowd:
@@ -36,13 +52,23 @@ def gather_crowd(domain: Domain, place: Vector) -> Crowd:
     return Crowd(Segments(apical, subtract(basal, apical)), place[0].shape[0] // len(copies))
 
 
+def gather_bent(domain: Domain, nodes: Nodes) -> Crowd:
+    """The tilted or bent backbones of all cells, and their copies."""
+    points = node_points(with_copies(nodes, domain), domain)
+    start, along = tuple(part[:-1] for part in points), tuple(jnp.diff(part, axis=0) for part in points)
+    if len(start[0]) == 1:
+        segments = Segments(tuple(part[0] for part in start), tuple(part[0] for part in along))
+    else:
+        segments = Polylines(tuple(part.T for part in start), tuple(part.T for part in along))
+    return Crowd(segments, nodes.height.shape[1])
+
+
 def first_lists(crowd: Crowd) -> Int[np.ndarray, "q n"]:
-    """The nearest backbones of each cell on three layers, -1 where there are fewer than others have."""
-    start, along = (np.stack([np.asarray(part, float) for part in vector], axis=1) for vector in crowd.segments)
+    """The nearest backbones of each cell on a few layers, -1 where there are fewer than others have."""
     n, found = crowd.cells, []
-    count = min(NEAREST + 1, len(start))
-    for h in (0.0, 0.5, 1.0):
-        points = start + h * along
+    layers = crowd.points(min(len(crowd.pieces()[0]) + 2, 6))[0]
+    count = min(NEAREST + 1, layers.shape[1])
+    for points in layers:
         found.append(KDTree(points).query(points[:n], count)[1].reshape(n, count))
     return _as_lists(np.concatenate(found, axis=1), n)
 
@@ -68,16 +94,16 @@ def missing(
     lists are complete where none is missing. Also returns at how many points this could not be made sure, since more
     backbones are near than were looked at.
     """
-    start, along = (np.stack([np.asarray(part, float) for part in vector], axis=1) for vector in crowd.segments)
-    share = np.linspace(0, 1, SAMPLES)
-    tree = KDTree((start[:, None] + share[:, None] * along[:, None]).reshape(-1, 3))
-    half = 0.5 * np.linalg.norm(along, axis=1).max() / (SAMPLES - 1)
+    start, along = crowd.pieces()
+    samples, length = crowd.points(SAMPLES)
+    tree = KDTree(samples.swapaxes(0, 1).reshape(-1, 3))
+    half = 0.5 * np.diff(length, axis=0).max()
     pairs, left = [np.zeros((0, 2), int)], np.arange(len(points))
     for count in (min(count, tree.n) for count in FOUND):
         near, found = (part.reshape(len(left), count) for part in tree.query(points[left], count))
         owner, cell = found // SAMPLES, cells[left]
-        own = (1 - ROUNDING) * _distance(start[cell], along[cell], points[left])
-        others = _distance(start[owner], along[owner], points[left, None])
+        own = (1 - ROUNDING) * _distance(start[:, cell], along[:, cell], points[left])
+        others = _distance(start[:, owner], along[:, owner], points[left, None])
         listed = (lists.T[cell][:, None] == owner[..., None]).any(axis=-1) | (owner == cell[:, None])
         lacks = ~listed & (others < own[:, None])
         row, column = np.nonzero(lacks)
@@ -97,9 +123,13 @@ def extended(lists: Int[np.ndarray, "q n"], pairs: Int[np.ndarray, "m 2"]) -> In
     return _as_lists(np.concatenate([lists.T, more], axis=1), n)
 
 
-def _distance(start: np.ndarray, along: np.ndarray, point: np.ndarray) -> np.ndarray:
-    share = ((point - start) * along).sum(axis=-1) / (along**2).sum(axis=-1)
-    return np.linalg.norm(point - start - np.clip(share, 0, 1)[..., None] * along, axis=-1)
+def _distance(starts: np.ndarray, ways: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """From points to the nearest of some pieces, [pieces, ...]."""
+    found = np.inf
+    for start, along in zip(starts, ways, strict=True):
+        share = ((point - start) * along).sum(axis=-1) / (along**2).sum(axis=-1)
+        found = np.minimum(found, np.linalg.norm(point - start - np.clip(share, 0, 1)[..., None] * along, axis=-1))
+    return np.asarray(found)
 
 
 def as_array(lists: Int[np.ndarray, "q n"]) -> Int[Array, "q n"]:

@@ -15,7 +15,7 @@ from jaxtissue.compilation.fusion import fusion_barrier
 from jaxtissue.geometry.domains import Domain, Frame
 from jaxtissue.geometry.vectors import Vector, add, area, dot, each, scale, subtract, turned
 from jaxtissue.sections.half_planes import HalfPlanes, Packed, crossing, cut, farthest, pack, take
-from jaxtissue.sections.views import Segments, View, as_half_planes, first_places, gap, limit_planes
+from jaxtissue.sections.views import Backbones, View, as_half_planes, first_places, gap, limit_planes
 
 SHARP = 0.03  # the sine of the angle of two walls below which their corner stays that of the lines
 STEEP = 0.3  # the least cosine between an edge and its chord
@@ -78,7 +78,7 @@ class Edges(NamedTuple):
     """The edges in slots: their lines as taken last, and the walls that they are of."""
 
     plane: HalfPlanes
-    rivals: Segments
+    rivals: Backbones
     is_wall: Bool[Array, "slots *T"]
 
 
@@ -208,8 +208,8 @@ def _parts(tables: Any, count: int) -> list[Any]:
 def _edges(planes: HalfPlanes, view: View, number: Int[Array, "slots *T"], anchor: Array) -> Edges:
     candidates = view.is_there.shape[0]
 
-    def gather() -> tuple[HalfPlanes, Segments]:
-        return take(planes, number), take(view.rivals, jnp.minimum(number, candidates - 1))
+    def gather() -> tuple[HalfPlanes, Backbones]:
+        return take(planes, number), view.rivals.take(jnp.minimum(number, candidates - 1))
 
     return Edges(*fusion_barrier(gather, anchor), number < candidates)
 

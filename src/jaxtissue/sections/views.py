@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Int
 
 from jaxtissue.geometry.domains import Domain, Frame
 from jaxtissue.geometry.vectors import Vector, add, dot, scale, subtract
-from jaxtissue.sections.half_planes import FAR, HalfPlanes
+from jaxtissue.sections.half_planes import FAR, HalfPlanes, take
 
 LEAST_SLOPE = 1e-6  # of a bisector along the layer, as a part of its slope, below which it is no line
 
@@ -25,6 +25,40 @@ class Segments(NamedTuple):
         share = jnp.clip(dot(way, self.along) / dot(self.along, self.along), 0, 1)
         return subtract(way, scale(share, self.along))
 
+    def on_layers(self) -> "Segments":
+        """Tables [..., n] with an axis for the layers before the last one."""
+        return jax.tree.map(lambda table: table[..., None, :], self)
+
+    def take(self, number: Int[Array, "slots *T"]) -> "Segments":
+        """The backbones of numbers, of tables [q, 1, n]."""
+        return take(self, number)
+
+
+class Polylines(NamedTuple):
+    """Bent backbones: the segments from node to node, with an axis for these before that of the layers."""
+
+    start: Vector
+    along: Vector
+
+    def offset(self, point: Vector) -> Vector:
+        """From the nearest point of each backbone to a point."""
+        away = Segments(*self).offset(tuple(part[..., None, :, :] for part in point))
+        square = dot(away, away)
+        is_nearest = square == square.min(axis=-3, keepdims=True)
+        count = is_nearest.sum(axis=-3).astype(square.dtype)  # two at a node, which both have as their nearest point
+        return tuple(jnp.where(is_nearest, part, 0).sum(axis=-3) / count for part in away)
+
+    def on_layers(self) -> "Polylines":
+        """Tables [..., n, segments] as [..., segments, 1, n]."""
+        return jax.tree.map(lambda table: jnp.moveaxis(table, -1, -2)[..., None, :], self)
+
+    def take(self, number: Int[Array, "slots *T"]) -> "Polylines":
+        """The backbones of numbers, of tables [q, segments, 1, n]."""
+        return jax.tree.map(jax.vmap(lambda table: take(table, number), 1, 1), self)
+
+
+Backbones = Segments | Polylines
+
 
 class View(NamedTuple):
     """The cells of a tissue as seen on layers; tables end with the axes of layers and cells, *T = (K, n).
@@ -34,16 +68,16 @@ class View(NamedTuple):
         height: The height of each layer, [*T].
         basis: The rows of the derivative of the local coordinates y by coordinates z in which the layer's metric is
             the unit matrix at the backbone.
-        own: The backbones, [1, 1, n].
-        rivals: The candidates, [q, 1, n].
+        own: The backbones, [1, 1, n]; bent ones have an axis for their segments after the first.
+        rivals: The candidates, [q, 1, n], likewise.
         is_there: Which candidates there are, [q, 1, n].
     """
 
     place: Vector
     height: Array
     basis: tuple[Vector, Vector]
-    own: Segments
-    rivals: Segments
+    own: Backbones
+    rivals: Backbones
     is_there: Bool[Array, "q 1 n"]
 
     @property
@@ -68,15 +102,14 @@ class Gap(NamedTuple):
     pull: Vector  # by the point, 2 (q_i - q_j)
 
 
-def look(domain: Domain, place: Vector, heights: Array, own: Segments, rivals: Segments, is_there: Array) -> View:
-    """The view of cells at places [n] on layers [K], with own backbones [n] and candidates [q, n]."""
-    shape = (heights.shape[0], place[0].shape[0])
+def look(domain: Domain, place: Vector, heights: Array, own: Backbones, rivals: Backbones, is_there: Array) -> View:
+    """The view of cells at places [n] or [K, n] on layers [K], with own backbones [n] and candidates [q, n]."""
+    shape = (heights.shape[0], place[0].shape[-1])
     height = jnp.broadcast_to(heights[:, None], shape)
     centers = tuple(jnp.broadcast_to(part, shape) for part in place)
     flat = domain.frame(centers, (jnp.zeros_like(height),) * 2, height)
-    own = Segments(*(tuple(part[None, None] for part in vector) for vector in own))
-    rivals = Segments(*(tuple(part[:, None] for part in vector) for vector in rivals))
-    return View(centers, height, metric_basis(flat), own, rivals, is_there[:, None])
+    own = jax.tree.map(lambda table: table[None], own).on_layers()
+    return View(centers, height, metric_basis(flat), own, rivals.on_layers(), is_there[:, None])
 
 
 def metric_basis(flat: Frame) -> tuple[Vector, Vector]:
@@ -87,7 +120,7 @@ def metric_basis(flat: Frame) -> tuple[Vector, Vector]:
     return (1 / across, -mixed / (across * rest)), (jnp.zeros_like(rest), 1 / rest)
 
 
-def gap(flat: Frame, own: Segments, rivals: Segments) -> Gap:
+def gap(flat: Frame, own: Backbones, rivals: Backbones) -> Gap:
     """The gap between the own backbone and rivals at given points."""
     mine, theirs = own.offset(flat.point), rivals.offset(flat.point)
     apart = subtract(theirs, mine)

@@ -25,7 +25,7 @@ def measure_domain_tissue(
     positions: Any, domain: Domain, resolution: Resolution | str, surfaces: bool, refine: bool
 ) -> CellGeometry:
     """Measure every cell of a tissue on any domain, as `measure_tissue` says."""
-    place = as_domain_positions(positions, domain)
+    place = as_domain_positions(positions, domain, bent=True)
     layers = plan_layers(section_layers(resolution))
     found = find_sections(domain, place, layers)
     sizes, defect = found.sizes, tiling_defect(domain, found)

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from jaxtissue.compilation.fusion import options
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import domain_of
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.cell_geometry import CellGeometry
@@ -77,6 +78,8 @@ def measure_tissue(
     Args:
         positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
             columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+            Tilted and bent backbones have one axis more, [n, k, 2] or [n, k, 3], for k nodes at equally spaced heights
+            from the apical to the basal end; or one coordinate more too, the height of each node, from 0 to 1.
         domain: The tube or other domain.
         resolution: "draft", "standard" (the default) or "fine", or a `Resolution`.
         surfaces: Whether to measure areas and perimeters on the apical and basal surface. Defaults to True.
@@ -100,6 +103,7 @@ def measure_tissue(
     """
     if tolerance is not None and not tolerance > 0:
         raise ValueError(f"tolerance={tolerance} is not a positive fraction of the mean cell; try 0.001")
+    domain = domain_of(domain, positions)
     if isinstance(domain, Domain):
         if tolerance is not None:
             raise ValueError(f"tolerance={tolerance} is for tubes alone; take a finer resolution on other domains")

@@ -1,0 +1,130 @@
+"""Tilted and bent backbones: polylines through nodes F(m_k, h_k), of which the first is apical and the last basal.
+
+Positions of straight backbones are [n, d], one point m of the base surface each. With an axis more, [n, k, d], they
+are those of k nodes at equally spaced heights, and with a coordinate more, [n, k, d + 1], the last is its height.
+So one array holds any backbones, and goes through `jit`, `vmap` and files as that of straight ones does.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxtissue.geometry.base_surfaces import Rectangle, UnitSphere
+from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.shapes import RoundTube
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.geometry.vectors import Vector, add, cross, dot, scale, subtract
+
+ENDS = ("apical", "basal")  # what tilted backbones have before the names of coordinates
+FLAT = 1e-3  # the sine of the angle of a backbone and a layer below which it is not followed to where they meet
+
+
+class Nodes(NamedTuple):
+    """The nodes of backbones, [k, n]: points of the base surface, each nearest to the one before, and heights."""
+
+    place: Vector
+    height: Array
+
+
+def has_nodes(positions: Any) -> bool:
+    """Whether positions are those of nodes, by the number of their axes."""
+    try:
+        return np.ndim(positions) == 3
+    except ValueError:  # rows of several lengths
+        return False
+
+
+def domain_of(domain: Tube | Domain, positions: Any) -> Tube | Domain:
+    """The domain on which backbones stand: for nodes, a tube is one like any other."""
+    if isinstance(domain, Tube) and has_nodes(positions):
+        return RoundTube(domain.length, domain.apical_radius, domain.basal_radius)
+    return domain
+
+
+def heights_of(positions: np.ndarray, domain: Domain) -> Float[np.ndarray, "n k"]:
+    """The heights of nodes, as given or equally spaced."""
+    n, k, size = positions.shape
+    if size > len(domain.columns):
+        return positions[..., -1]
+    return np.broadcast_to(np.linspace(0, 1, k), (n, k))
+
+
+def as_nodes(positions: Float[Array, "n k d"], domain: Domain) -> Nodes:
+    """The nodes of positions, those beyond a seam or a period put beside the node before."""
+    size = len(domain.columns)
+    place = tuple(positions[..., axis].T for axis in range(size))
+    if positions.shape[-1] > size:
+        height = positions[..., -1].T
+    else:
+        steps = jnp.linspace(0, 1, positions.shape[1], dtype=positions.dtype)
+        height = jnp.broadcast_to(steps[:, None], place[0].shape)
+    return Nodes(_unrolled(domain.base, place), height)
+
+
+def _unrolled(base: Rectangle | UnitSphere, place: Vector) -> Vector:
+    if not isinstance(base, Rectangle):
+        return place
+    parts = []
+    for part, extent, direction in zip(place, base.extent, base.directions, strict=True):
+        if direction != "free":
+            turns = jnp.cumsum(jnp.round(jnp.diff(part, axis=0) / extent), axis=0)
+            part = part - extent * jnp.concatenate([jnp.zeros_like(part[:1]), turns])
+        parts.append(part)
+    return tuple(parts)
+
+
+def with_copies(nodes: Nodes, domain: Domain) -> Nodes:
+    """The nodes of all backbones and then those of their copies beyond periodic directions, [k, copies n]."""
+    copies, (k, _) = domain.base.images(), nodes.height.shape
+    if not isinstance(domain.base, Rectangle) or len(copies) == 1:
+        return nodes
+    place = tuple(
+        (part[:, None] + copies[:, axis, None] * jnp.asarray(extent)).reshape(k, -1).astype(part.dtype)
+        for axis, (part, extent) in enumerate(zip(nodes.place, domain.base.extent, strict=True))
+    )
+    return Nodes(place, jnp.tile(nodes.height, (1, len(copies))))
+
+
+def node_points(nodes: Nodes, domain: Domain) -> Vector:
+    """The nodes in space."""
+    apical, basal = domain.surfaces(nodes.place)
+    return add(scale(1 - nodes.height, apical), scale(nodes.height, basal))
+
+
+def on_layers(nodes: Nodes, domain: Domain, heights: Float[Array, " layers"]) -> Vector:
+    """Where backbones cross layers: points of the base surface, [layers, n].
+
+    On the way from node to node in the base surface, and from there by a step of Newton's method to where the straight
+    line between them meets the layer.
+    """
+    level = jnp.broadcast_to(heights[:, None], (heights.shape[0], nodes.height.shape[1]))
+    first = (nodes.height[1:-1] <= level[:, None]).sum(axis=1)
+    ends = [
+        jax.tree.map(lambda table, at=at: jnp.take_along_axis(table, first + at, axis=0),
+                     (nodes.place, nodes.height, node_points(nodes, domain)))
+        for at in (0, 1)
+    ]  # fmt: skip
+    (place, low, start), (other, high, end) = ends
+    share = jnp.clip((level - low) / (high - low), 0, 1)
+    guess = domain.base.chart(place, scale(share, domain.base.difference(place, other)))
+    frame = domain.frame(guess, (jnp.zeros_like(level),) * 2, level)
+    along = subtract(end, start)
+    miss = subtract(add(start, scale(share, along)), frame.point)
+    across = cross(frame.first, frame.second)
+    steep = dot(across, along)
+    crosses = jnp.abs(steep) > FLAT * jnp.sqrt(dot(across, across) * dot(along, along))
+    back = dot(across, miss) / jnp.where(crosses, steep, 1)
+    miss = subtract(miss, scale(back, along))  # now within the layer's tangent plane
+    square = jnp.where(crosses, dot(across, across), jnp.inf)
+    step = (dot(cross(miss, frame.second), across) / square, dot(cross(frame.first, miss), across) / square)
+    return domain.base.chart(guess, step)
+
+
+def ends_on(positions: np.ndarray, surface: str, domain: Domain) -> Float[np.ndarray, "n d"]:
+    """The points of the base surface where backbones end on the `apical` or `basal` surface."""
+    if positions.ndim == 2:
+        return positions
+    return positions[:, -1 if surface == "basal" else 0, : len(domain.columns)]
