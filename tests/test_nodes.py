@@ -16,7 +16,7 @@ from jaxtissue.sections.cells import RULE, plan_layers
 from jaxtissue.sections.contacts import layer_contacts
 from jaxtissue.sections.views import Polylines
 
-pytestmark = pytest.mark.usefixtures("quickest_compile", "coarse_pictures")
+pytestmark = pytest.mark.usefixtures("coarse_pictures")
 CELLS = 40
 SLAB = jt.Slab(6, 5, 1.5, periodic=(True, True))
 TUBE, PIPE = jt.Tube(10, 1, 2), jt.RoundTube(10, 1, 2)
