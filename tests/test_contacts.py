@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.topology.bisectors import Bisectors
+from jaxtissue.topology.bisectors import Bisectors, safe_step_length
 from jaxtissue.topology.contacts import KINDS, find_contacts
 from jaxtissue.topology.edges import EdgeGraph, _trace, trace_edges
 from jaxtissue.topology.transitions import find_forms, find_transitions
@@ -306,3 +306,9 @@ def test_a_detached_piece_is_counted():
     forms = find_forms(positions[near], Tube(100, 0.2, 10))
     assert forms.pieces[np.searchsorted(near, 225)] == 2
     assert np.bincount(forms.pieces).argmax() == 1
+
+
+def test_lengths_that_are_large_numbers_overflow_nothing() -> None:
+    still = np.zeros(1)
+    with np.errstate(all="raise"):
+        assert np.isfinite(safe_step_length(np.array([-1e12]), still, still, still)).all()

@@ -34,8 +34,13 @@ ROOMS = [  # from the ground up: a room imports only what stands before it
 FLOORS = 10
 LINES, FUNCTION_LINES = 300, 50  # of a file, of a function without its docstring
 ARGUMENTS, OPTIONS = 6, 6  # that a call must give, and that it may
-SELDOM = {"scipy"}  # what takes long to import is imported by what needs it
-SELDOM_OWN = {"cli.commands", "runs.annealing", "runs.relaxing"}  # and of this package by the commands
+SELDOM = {"scipy", "networkx"}  # what takes long to import is imported by what needs it
+SELDOM_OWN = {
+    "cli.commands",
+    "runs.annealing",
+    "runs.preparing",
+    "runs.relaxing",
+}  # and of this package by the commands
 EXTRAS = {"tifffile", "skimage", "pyevtk", "pandas", "pyvista", "trimesh"}
 MODULES = sorted(path for path in FOLDER.rglob("*.py") if not path.stem.startswith("__"))
 

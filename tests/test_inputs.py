@@ -51,7 +51,8 @@ KINDS: dict[str, Any] = {dtype: FLOATS.astype(dtype) for dtype in WHOLE_DTYPES +
     "unmasked": np.ma.masked_array(FLOATS, False),
     "frame": Frame(axial=AXIAL, angle=ANGLE),
     "frame the other way round": Frame(name=np.arange(6), angle=ANGLE, axial=AXIAL.astype(int)),
-    "frame of other names": Frame(x=AXIAL, theta=ANGLE),
+    "frame in capitals": Frame(**{"Angle ": ANGLE, "AXIAL": AXIAL}),
+    "structured": np.rec.fromarrays([ANGLE, AXIAL], names="angle,axial"),
     "dictionary": {"angle": ANGLE.tolist(), "axial": AXIAL.tolist()},
 }
 
@@ -108,6 +109,8 @@ BAD = {
     "one row": ([1, 2], r"shape \(2,\)"),
     "three columns": (np.ones((4, 3)), r"shape \(4, 3\)"),
     "columns for rows": (FLOATS.T, r"shape \(2, 6\)"),
+    "frame of other names": (Frame(x=AXIAL, theta=ANGLE), "the columns x, theta; name them axial, angle"),
+    "dictionary of other names": ({"axial": AXIAL}, "the columns axial; name them axial, angle"),
     "ragged": ([[1, 2], [3]], "not real numbers"),
     "text": ([["1", "2"]], "not real numbers .*<U1"),
     "text among objects": (np.array([["1", 2]], object), "not real numbers .*type str"),

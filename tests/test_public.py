@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -131,6 +132,8 @@ def test_steps_fall_in_energy_and_keep_account(positions):
         state, info = STEP(key, state, model, 2.0)
         change += float(info.energy_change)
         assert 0 < int(info.accepted) < CELLS and int(info.rounds) >= 1
+    with pytest.raises(ValueError, match="40 backbones for a model of 20 cells"):
+        jt.step(jax.random.key(0), state, jt.tube_model(TUBE, 20))
     after = float(jt.epithelial_energy(state.cells, model).sum())
     assert after < before and after - before == pytest.approx(change, rel=1e-3)
     fresh = jt.init(state.positions, model)
@@ -163,8 +166,18 @@ def test_a_list_covers_what_it_was_made_for_and_says_when_it_does_not(positions)
     covers = jax.jit(lambda neighbors, place: neighbors.covers(place))
     assert bool(covers(neighbors, positions)) and not bool(covers(few, positions))
     assert few.update(positions) is not few
-    with pytest.raises(ValueError, match="39 positions for a list of 40"):
+    with pytest.raises(ValueError, match="39 positions for lists of 40"):
         neighbors.covers(positions[1:])
+    with pytest.raises(ValueError, match=r"shape \(40, 1\): give \(axial, angle\) rows"):
+        neighbors.covers(positions[:, :1])
+    model = jt.tube_model(TUBE, CELLS)
+    for energy in (jt.tissue_energy, jax.jit(jt.tissue_energy)):
+        with pytest.raises(ValueError, match="39 positions for lists of 40"):
+            energy(positions[1:], model, neighbors)
+    with pytest.raises(ValueError, match="40 backbones for a model of 39 cells"):
+        jt.tissue_energy(positions, jt.tube_model(TUBE, 39), neighbors)
+    with pytest.raises(ValueError, match=r"types are .* of shape \(39,\)"):
+        jt.tissue_energy(positions, replace(model, adhesion=jt.Adhesion([0] * 39, [[1.0]])), neighbors)
     assert len(neighbors.update(positions[1:])) == 39
     wide = jt.NeighborList.allocate(positions, TUBE, margin=0.5)
     assert wide.update(positions[1:]).margin == 0.5
@@ -204,7 +217,7 @@ def test_each_cell_has_its_own_target(x64):
 @pytest.mark.parametrize(
     ("parameters", "told"),
     [
-        (np.ones(56), r"parameters has the shape \(56,\); give an array with one row for each of 57"),
+        (np.ones(56), r"parameters has the shape \(56,\); give one row for each of 57"),
         ({"target": np.float64(3)}, r"parameters\['target'\] has the shape \(\)"),
         ([np.full(57, np.nan)], r"parameters\[0\] holds what is not a finite number"),
     ],

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 from jaxtissue.compilation.fusion import take_rows
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.positions import X64
+from jaxtissue.geometry.positions import X64, check_count
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.adhesion import Adhesion, check_adhesion
 from jaxtissue.measurement.cell_geometry import CellGeometry
@@ -204,11 +204,16 @@ def check_parameters(parameters: Any, cells: int) -> None:
     for path, table in jax.tree_util.tree_leaves_with_path(parameters):
         name = f"parameters{jax.tree_util.keystr(path)}"
         if np.ndim(table) == 0 or len(table) != cells:
-            raise ValueError(
-                f"{name} has the shape {np.shape(table)}; give an array with one row for each of {cells} cells"
-            )
+            raise ValueError(f"{name} has the shape {np.shape(table)}; give one row for each of {cells} cells")
         if not isinstance(table, Tracer) and not np.isfinite(np.asarray(table, float)).all():
             raise ValueError(f"{name} holds what is not a finite number; give one for each cell")
+
+
+def check_numbers(model: Model, cells: int, within: float = 0.01) -> None:
+    """Raise `ValueError` for a model of another number of cells, by its mean volume, its parameters or its types."""
+    check_count(cells, model.domain, model.mean_volume, within)
+    check_parameters(model.parameters, cells)
+    check_adhesion(model.adhesion, cells)
 
 
 def in_precision(model: Model, dtype: DTypeLike) -> Model:
@@ -284,8 +289,7 @@ def require_finite(energies: Any, model: Model) -> None:
         return
     constants = ", ".join(f"{name}={float(getattr(model, name)):.6g}" for name in CONSTANTS)
     found = f"{_name(model)} is {energy[~np.isfinite(energy)][0]} in {energy.dtype} ({constants})"
-    single = energy.dtype == np.float32
-    raise ValueError(f"{found}; change units{f' or {X64}' if single else ''}, or correct the energy")
+    raise ValueError(f"{found}; change units{f' or {X64}' * (energy.dtype == np.float32)}, or correct the energy")
 
 
 def _check_constant(name: str, value: Any) -> None:

@@ -23,12 +23,10 @@ from jaxtissue.dynamics.replays import SPAN, Plan, Segment, Span, energies_toget
 from jaxtissue.dynamics.spans import energy_terms, play, survey_state
 from jaxtissue.dynamics.survey import Tissue, lines_of, survey_together
 from jaxtissue.dynamics.sweep_log import Measured, SweepRecord, least_around, sweep_record
-from jaxtissue.energy import Model, check_energy, check_parameters, in_precision
+from jaxtissue.energy import Model, check_energy, check_numbers, in_precision
 from jaxtissue.geometry.domain_positions import as_positions_on
 from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.positions import check_count
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.adhesion import check_adhesion
 from jaxtissue.measurement.axial_lines import BackboneCoords
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution
@@ -136,9 +134,7 @@ class Annealer:
         """
         domain = self.model.domain
         own = np.asarray(as_positions_on(positions, domain))
-        check_count(len(own), domain, float(self.model.mean_volume))
-        check_parameters(self.model.parameters, len(own))
-        check_adhesion(self.model.adhesion, len(own))
+        check_numbers(self.model, len(own))
         if isinstance(domain, Tube):
             warn_of_coarse_places(self.model, len(own), own.dtype)
         return AnnealState(0, own)

@@ -18,9 +18,8 @@ from jaxtissue.dynamics.local_updates import Neighborhoods, Scene, TissueState
 from jaxtissue.dynamics.metropolis import Order, SweepInfo, sweep
 from jaxtissue.dynamics.survey import Tissue, lines_of, survey_together
 from jaxtissue.dynamics.sweep_log import shortlist_neighbors
-from jaxtissue.energy import Model, check_energy, check_parameters, in_precision
-from jaxtissue.geometry.positions import as_positions, check_count
-from jaxtissue.measurement.adhesion import check_adhesion
+from jaxtissue.energy import Model, check_energy, check_numbers, in_precision
+from jaxtissue.geometry.positions import as_positions
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution
 
@@ -81,11 +80,8 @@ def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -
     ((40, 2), True)
     """
     place = np.asarray(as_positions(positions, model.domain))  # type: ignore[arg-type]  # refused if it is no tube
-    tube = model.tube
     n = len(place)
-    check_count(n, tube, float(model.mean_volume))
-    check_parameters(model.parameters, n)
-    check_adhesion(model.adhesion, n)
+    check_numbers(model, n)
     check_energy(model)
     model = in_precision(model, place.dtype)
     lines = lines_of(model, n, as_resolution(resolution))
@@ -118,7 +114,11 @@ def step(
         round of the same sweep because they affect a cell already affected by an earlier move in their round;
         `left_cell`, proposals outside the current cell; `rounds`; and `energy_change`, the sum of the accepted energy
         differences.
+
+    Raises:
+        ValueError: If the state has another number of cells than the model, its parameters, or its types.
     """
+    check_numbers(model, len(state.tissue.place.axial))
     shape, dtype = state.tissue.wide.shape, state.tissue.reach.dtype
     draws = jax.random.uniform(key, (3, *shape), dtype)
     scene = Scene(model, state.neighbors, state.lines)

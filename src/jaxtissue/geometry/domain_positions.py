@@ -14,7 +14,7 @@ from jaxtissue.compilation.modes import double_precision, usual_modes
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain, in_doubles
 from jaxtissue.geometry.nodes import ENDS, as_nodes, domain_of, has_nodes, heights_of, node_points
-from jaxtissue.geometry.positions import BACKBONES, ROUNDING, SAME, STRAIGHT, X64, Rows, as_numbers, as_positions
+from jaxtissue.geometry.positions import AXES, BACKBONES, ROUNDING, SAME, STRAIGHT, X64, Rows, as_numbers, as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.geometry.vectors import rows as as_rows
 
@@ -23,7 +23,7 @@ SHORT = 0.1  # the least length of a vector that is a direction
 
 def column_names(domain: Tube | Domain) -> tuple[str, ...]:
     """The names of the coordinates of a position, as in tables of backbones."""
-    return domain.columns if isinstance(domain, Domain) else ("axial", "angle")
+    return domain.columns if isinstance(domain, Domain) else AXES
 
 
 def as_positions_on(

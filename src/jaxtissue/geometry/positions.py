@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import DTypeLike
 from scipy.spatial import KDTree
 
 from jaxtissue.geometry.tube import Tube
 
+AXES = "axial", "angle"  # on a tube
 ROUNDING = 1e-6  # of the length: what single precision may put an end beyond the tube, rounded up
 SAME = 8  # roundings of the angle by which a full turn more or less may be off
 NEAR = 100  # roundings, in units of R_b and of the angle: nearer, volumes err by 1 % of a cell and more
@@ -59,11 +60,11 @@ def as_positions(
     """Positions as an array of floats, [n, 2], (axial, angle), with the axial position within the tube.
 
     The input may be anything that NumPy reads as real numbers: lists, arrays of any byte order and precision, whole
-    numbers, and tables with the columns `axial` and `angle`, such as a pandas DataFrame or a dictionary. It is
-    converted once, to `dtype`, by default the precision that JAX works in. Axial positions beyond an end by a rounding
-    of single precision are put on it, and angles of more than a turn are brought within one. Traced positions come back
-    as they are. Where `sizes` are measured, warns of backbones so near each other that this precision gets volumes
-    wrong by 1 % of a cell.
+    numbers, and tables with the columns `axial` and `angle`, such as a pandas DataFrame, a dictionary or a structured
+    array. It is converted once, to `dtype`, by default the precision that JAX works in. Axial positions beyond an end
+    by a rounding of single precision are put on it, and angles of more than a turn are brought within one. Traced
+    positions come back as they are. Where `sizes` are measured, warns of backbones so near each other that this
+    precision gets volumes wrong by 1 % of a cell.
 
     Raises:
         ValueError: If the input holds no real numbers, masked or missing values, or another shape, if numbers are not
@@ -83,8 +84,7 @@ def as_positions(
     given = as_numbers(positions)
     _check_shape(given.shape)
     for row, column in np.argwhere(~np.isfinite(given)).tolist():
-        name = ("axial", "angle")[column]
-        raise ValueError(f"{rows.one(row)}: {name}={given[row, column]} is not a finite number; correct it")
+        raise ValueError(f"{rows.one(row)}: {AXES[column]}={given[row, column]} is not a finite number; correct it")
     precision = np.dtype(jnp.result_type(float) if dtype is None else dtype)
     known = tube.length, tube.basal_radius
     if any(isinstance(size, Tracer) for size in known):
@@ -111,12 +111,11 @@ def require_tube(domain: Any) -> None:
         raise ValueError(f"{told}; give a Tube, or measure the cells by measure_tissue")
 
 
-def as_numbers(positions: Any, names: tuple[str, ...] = ("axial", "angle")) -> Float[np.ndarray, "..."]:
-    """Real numbers of any kind in double precision; those of tables by the names of columns."""
+def as_numbers(positions: Any, names: tuple[str, ...] = AXES) -> Float[np.ndarray, "..."]:
+    """Real numbers of any kind in double precision; those of tables by the names of columns, in any case."""
+    if columns := _columns(positions, names):
+        return np.stack([as_numbers(positions[name]) for name in columns], axis=-1)
     try:
-        columns = positions.keys() if isinstance(positions, Mapping) else getattr(positions, "columns", ())
-        if set(names) <= set(columns):
-            return np.stack([as_numbers(positions[name]) for name in names], axis=-1)
         if np.ma.is_masked(positions):
             raise ValueError("some are masked")
         given = np.asarray(positions)
@@ -130,6 +129,16 @@ def as_numbers(positions: Any, names: tuple[str, ...] = ("axial", "angle")) -> F
     except (TypeError, ValueError, OverflowError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"positions are not real numbers ({reason}); give ({', '.join(names)}) rows") from error
+
+
+def _columns(positions: Any, names: tuple[str, ...]) -> list[str]:
+    """The columns of a table that have the names; none of what is no table, or has numbers for names."""
+    fields = getattr(getattr(positions, "dtype", None), "names", None)
+    given = positions.keys() if isinstance(positions, Mapping) else fields or getattr(positions, "columns", ())
+    known = {name.strip().lower(): name for name in given if isinstance(name, str)}
+    if known and not set(names) <= set(known):
+        raise ValueError(f"positions have the columns {', '.join(known)}; name them {', '.join(names)}")
+    return [known[name] for name in names] if known else []
 
 
 def _check_shape(shape: tuple[int, ...]) -> None:
@@ -199,15 +208,41 @@ def _warn_of_near(place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n
         warnings.warn(f"{found}: their cells may be off by 1 % and more; {X64}", stacklevel=4)
 
 
-def check_count(cells: int, domain: Any, mean_volume: float) -> None:
+def as_rows(positions: Any, names: tuple[str, ...], cells: int) -> Any:
+    """Positions, traced or not, as floats with a row for each of the `cells` that lists or a state were made for.
+
+    Floats that JAX holds keep their precision. Where backbones stand is not looked at.
+
+    >>> as_rows([[5, 0], [7, 1]], ("axial", "angle"), 3)
+    Traceback (most recent call last):
+    ValueError: 2 positions for lists of 3 cells; allocate others
+    """
+    precision = jnp.result_type(float)
+    if not isinstance(positions, Array):
+        positions = as_numbers(positions, names).astype(precision)
+    elif not jnp.issubdtype(positions.dtype, np.floating) or positions.dtype.itemsize < 4:
+        positions = positions.astype(precision)
+    if positions.ndim != 2 or positions.shape[1] != len(names):
+        raise ValueError(f"positions of shape {positions.shape}: give ({', '.join(names)}) rows, [n, {len(names)}]")
+    if len(positions) != cells:
+        raise ValueError(f"{len(positions)} positions for lists of {cells} cells; allocate others")
+    return positions
+
+
+def check_count(cells: int, domain: Any, mean_volume: Any, within: float = 0.01) -> None:
     """Raise `ValueError` unless that number of cells of the mean volume fills the tube or other domain.
+
+    The number may be off by `within`. Of sizes that are traced nothing is known.
 
     >>> check_count(25, Tube(10, 1, 2), Tube(10, 1, 2).volume / 20)
     Traceback (most recent call last):
     ValueError: 25 backbones for a model of 20 cells; make it with tube_model(tube, 25)
     """
-    fitting = float(domain.volume) / float(mean_volume)
-    if not math.isclose(fitting, cells, rel_tol=1e-5, abs_tol=0.01):  # sizes may be single precision
+    total = domain.volume
+    if isinstance(total, Tracer) or isinstance(mean_volume, Tracer):
+        return
+    fitting = float(total) / float(mean_volume)
+    if not math.isclose(fitting, cells, rel_tol=1e-5, abs_tol=within):  # sizes may be single precision
         raise ValueError(
             f"{cells} backbones for a model of {fitting:.6g} cells; make it with tube_model(tube, {cells})"
         )

@@ -218,32 +218,22 @@ def layer_rule(tube: Tube, layers: int) -> tuple[Float[np.ndarray, "layers"], Fl
 
 @functools.lru_cache(256)
 def _layer_rule(inner: float, outer: float, layers: int) -> tuple[np.ndarray, np.ndarray]:
+    return _spline_rule(inner, outer, layers, np)
+
+
+def _spline_rule(inner: Any, outer: Any, layers: int, xp: Any = jnp) -> tuple[Any, Any]:
+    """The rule in arrays of `xp`, for radii that may be traced: the spline's second derivatives by one linear solve."""
     if layers == 1:
-        return np.array([(inner + outer) / 2]), np.array([outer - inner])
-    share = (np.arange(layers) + INSET) / (layers - 1 + 2 * INSET)
-    radius = (math.sqrt(inner) + (math.sqrt(outer) - math.sqrt(inner)) * share) ** 2
-    from scipy.interpolate import CubicSpline  # takes a third of a second to import
-
-    spline = CubicSpline(radius, np.eye(layers), bc_type="natural")
-    weight = spline.integrate(radius[0], radius[-1])
-    for end, surface in ((radius[0], inner), (radius[-1], outer)):  # beyond its knots it is straight
-        gap = abs(surface - end)
-        weight += gap * spline(end) + (surface - end) * gap / 2 * spline(end, 1)
-    return radius, weight
-
-
-def _spline_rule(inner: Array, outer: Array, layers: int) -> tuple[Array, Array]:
-    """The same rule as a function of traced radii: the second derivatives of the spline by one linear solve."""
-    if layers == 1:
-        return (inner + outer)[None] / 2, (outer - inner)[None]
-    share = (jnp.arange(layers) + INSET) / (layers - 1 + 2 * INSET)
-    radius = (jnp.sqrt(inner) + (jnp.sqrt(outer) - jnp.sqrt(inner)) * share) ** 2
-    gap, values = jnp.diff(radius), jnp.eye(layers)
-    slope = jnp.diff(values, axis=0) / gap[:, None]
-    bend = jnp.zeros((layers, layers))  # second derivatives, 0 at the ends
+        return xp.asarray(inner + outer)[None] / 2, xp.asarray(outer - inner)[None]
+    share = (xp.arange(layers) + INSET) / (layers - 1 + 2 * INSET)
+    radius = (xp.sqrt(inner) + (xp.sqrt(outer) - xp.sqrt(inner)) * share) ** 2
+    gap, values = xp.diff(radius), xp.eye(layers)
+    slope = xp.diff(values, axis=0) / gap[:, None]
+    bend = xp.zeros((layers, layers))  # second derivatives, 0 at the ends
     if layers > 2:
-        inside = jnp.diag((gap[:-1] + gap[1:]) / 3) + jnp.diag(gap[1:-1] / 6, 1) + jnp.diag(gap[1:-1] / 6, -1)
-        bend = bend.at[1:-1].set(jnp.linalg.solve(inside, jnp.diff(slope, axis=0)))
+        inside = xp.diag((gap[:-1] + gap[1:]) / 3) + xp.diag(gap[1:-1] / 6, 1) + xp.diag(gap[1:-1] / 6, -1)
+        solved = xp.linalg.solve(inside, xp.diff(slope, axis=0))
+        bend = xp.concatenate([bend[:1], solved, bend[:1]])
     weight = (gap[:, None] * (values[:-1] + values[1:]) / 2 - gap[:, None] ** 3 * (bend[:-1] + bend[1:]) / 24).sum(
         axis=0
     )

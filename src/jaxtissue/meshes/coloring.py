@@ -1,6 +1,5 @@
 """Colors of cells that the color-blind tell apart, and no neighbor's."""
 
-import networkx as nx
 import numpy as np
 from jaxtyping import Int
 
@@ -25,12 +24,11 @@ def spread_colors(cells: int, pairs: Int[np.ndarray, "m 2"]) -> Int[np.ndarray, 
     >>> spread_colors(3, np.array([[0, 1], [1, 2], [0, 2]])).tolist()
     [0, 1, 2]
     """
-    graph = nx.Graph()
-    graph.add_nodes_from(range(cells))
-    graph.add_edges_from(np.unique(pairs, axis=0).tolist())
+    both = np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0)
+    start, other = np.searchsorted(both[:, 0], np.arange(cells + 1)).tolist(), both[:, 1]
     colors = np.full(cells, -1)
     for cell in range(cells):
-        around = colors[list(graph[cell])]
+        around = colors[other[start[cell] : start[cell + 1]]]
         used = np.bincount(around[around >= 0], minlength=len(PALETTE))
         colors[cell] = np.roll(used, -cell).argmin()
         colors[cell] = (colors[cell] + cell) % len(PALETTE)

@@ -9,9 +9,8 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from jaxtissue.compilation.modes import usual_modes
-from jaxtissue.energy import Model, check_energy, check_parameters, in_precision
-from jaxtissue.geometry.positions import as_positions, check_count, require_tube
-from jaxtissue.measurement.adhesion import check_adhesion
+from jaxtissue.energy import Model, check_energy, check_numbers, in_precision
+from jaxtissue.geometry.positions import as_positions, require_tube
 from jaxtissue.measurement.quadrature import Resolution, as_resolution
 from jaxtissue.minimization.fire import FIRE
 from jaxtissue.minimization.lbfgs import LBFGS, Point
@@ -114,9 +113,7 @@ def relax(
         raise ValueError(f"steps={steps}, tolerance={tolerance}: give a number of steps and a positive fraction")
     require_tube(model.domain)
     start = np.asarray(as_positions(positions, model.tube))
-    check_count(len(start), model.tube, float(model.mean_volume))
-    check_parameters(model.parameters, len(start))
-    check_adhesion(model.adhesion, len(start))
+    check_numbers(model, len(start))
     check_energy(model)
     model = in_precision(model, start.dtype)
     energy = PlacedEnergy(model, len(start), as_resolution(resolution))

@@ -13,14 +13,18 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from jaxtissue.compilation.modes import usual_modes
-from jaxtissue.energy import Model, cell_energies
+from jaxtissue.energy import Model, cell_energies, check_numbers
+from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.positions import as_rows
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines, section_layers, trace_lines
 from jaxtissue.measurement.smooth_sizes import find_windows, smooth_sizes
 from jaxtissue.neighbors.section_neighbors import SectionNeighbors
 from jaxtissue.sections.cells import RULE, Layers, cell_sections, cell_sizes, plan_layers
 from jaxtissue.sections.half_planes import take
+
+HALF = 0.5  # of a cell, by which the mean volume may differ from that of a domain whose sizes are varied
 
 
 @usual_modes()
@@ -48,6 +52,7 @@ def tissue_energy(
 
     Raises:
         TypeError: If `neighbors` was allocated for a `Tube` and the domain of `model` is not one, or vice versa.
+        ValueError: If the number of positions is not that of `neighbors` or of `model`, its parameters or types.
 
     >>> from jaxtissue.energy import tube_model
     >>> from jaxtissue.geometry.tube import Tube
@@ -62,6 +67,8 @@ def tissue_energy(
     if isinstance(model.domain, Domain) != isinstance(neighbors, SectionNeighbors):
         given, kind = type(neighbors).__name__, type(model.domain).__name__
         raise TypeError(f"neighbors are a {given} for a {kind}; use NeighborList.allocate(positions, domain)")
+    positions = as_rows(positions, column_names(model.domain), len(neighbors))
+    check_numbers(model, len(positions), HALF)
     if isinstance(model.domain, Domain):
         layers = plan_layers(section_layers(resolution), check=False)
         return energy_on_sections(positions, model, layers, neighbors)

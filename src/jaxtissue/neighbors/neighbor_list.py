@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.positions import as_positions
+from jaxtissue.geometry.positions import AXES, as_positions, as_rows
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.neighbors.search import TILES, check_angles, check_lists, complete_lists, find_check
 from jaxtissue.neighbors.section_neighbors import SectionNeighbors
@@ -89,8 +89,7 @@ class NeighborList(eqx.Module):
         Raises:
             ValueError: If the number of backbones differs from the number of cells of the list.
         """
-        if len(positions) != len(self):
-            raise ValueError(f"{len(positions)} positions for a list of {len(self)} cells; allocate another")
+        positions = as_rows(positions, AXES, len(self))
         if any(isinstance(leaf, Tracer) for leaf in (positions, *jax.tree.leaves(self))):
             place = jnp.asarray(positions, jnp.result_type(float))
             return check_lists(place, self.domain, self.candidates, self.angles).defect < TILES

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.positions import as_rows
 from jaxtissue.neighbors.section_lists import find_sections, look_through
 from jaxtissue.sections.cells import RULE, plan_layers
 
@@ -80,9 +81,7 @@ class SectionNeighbors(eqx.Module):
         """
         if isinstance(positions, Tracer):
             raise TypeError(f"lists on a {type(self.domain).__name__} are checked on the host; do so outside of jit")
-        if len(positions) != len(self):
-            raise ValueError(f"{len(positions)} positions for a list of {len(self)} cells; allocate another")
-        place, rule = np.asarray(positions), RULE._replace(slots=self.slots)
+        place, rule = np.asarray(as_rows(positions, self.domain.columns, len(self))), RULE._replace(slots=self.slots)
         found, pairs = look_through(self.domain, place, np.asarray(self.candidates).T, LAYERS, rule)
         return not len(pairs) and found.rule == rule
 

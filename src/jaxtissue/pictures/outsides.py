@@ -13,7 +13,7 @@ from jaxtyping import ArrayLike, Float, Int
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.geometry.tube import Tube
 
-PIXELS = 1_200_000  # of all faces together
+PIXELS = 800_000  # of all faces together
 OPEN = math.pi / 2, math.pi  # the angles between which the tissue is left out
 _STEP = math.radians(2)  # of the straight pieces that circles are drawn by
 _POINTS = 4_000_000  # labeled together

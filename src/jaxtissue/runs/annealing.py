@@ -5,9 +5,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from importlib import import_module
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 import jax.numpy as jnp
@@ -22,6 +20,7 @@ from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.pages import write_page
+from jaxtissue.runs.preparing import Preparation
 from jaxtissue.runs.reports import contact_summary, contacts_of_run, tabulate_cells, write_contacts
 from jaxtissue.runs.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
 from jaxtissue.runs.settings import Settings, now, other_bits
@@ -74,7 +73,7 @@ def resume_annealing(folder: Path, given: Mapping[str, Any], finish: bool = Fals
             say(f"warning: bits may not be those of a run in one piece: {changes}")
         if finish and not run.manifest["finished"]:
             run.cut()
-            _finish(run, flat, ended=False)
+            _finish(run, flat)
             return 0
         run.note_resumption()
         run.cut()
@@ -84,10 +83,11 @@ def resume_annealing(folder: Path, given: Mapping[str, Any], finish: bool = Fals
 def _go_on(run: Run, stop: Stop, flat: bool) -> int:
     """Sweep until the run ends or is stopped, then finish or leave it; the exit code."""
     compiled_before = run.manifest["compile_seconds"]
+    preparation = Preparation(run.kept[0], run.settings.place, flat or run.settings.no_contacts)
     ended = _sweep(run, stop)
     run.manifest["compile_seconds"] = compiled_before + run.annealer.compile_seconds
     if ended:
-        _finish(run, flat)
+        _finish(run, flat, preparation)
         return 0
     assert stop.signal is not None
     run.write_manifest()
@@ -97,11 +97,7 @@ def _go_on(run: Run, stop: Stop, flat: bool) -> int:
 
 
 def _sweep(run: Run, stop: Stop) -> bool:
-    """Sweep, write each row, save every few seconds; whether the run came to its end.
-
-    Meanwhile, as the device computes, what draws the figures is imported.
-    """
-    Thread(target=import_module, args=("jaxtissue.runs.plots",), daemon=True).start()
+    """Sweep, write each row, save every few seconds; whether the run came to its end."""
     path, settings = run.folder / "sweeps.csv", run.settings
     energies, watch = storage.read_sweeps(path)["energy"].tolist(), AcceptanceWatch(settings.cells)
 
@@ -139,10 +135,10 @@ def _sweep(run: Run, stop: Stop) -> bool:
     return ended()
 
 
-def _finish(run: Run, flat: bool, ended: bool = True) -> None:
+def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> None:
     """Write the results of a run, tables, figures and the manifest, print them, and leave its page.
 
-    A run that ended is finished by its manifest.
+    A run that came to its end, with a preparation, is finished by its manifest.
     """
     from jaxtissue.runs.plots import Tissue, plot_energy, plot_surfaces, plot_volumes, save_figure
     from jaxtissue.runs.viewing import leave_pictures
@@ -166,7 +162,10 @@ def _finish(run: Run, flat: bool, ended: bool = True) -> None:
     volumes[ends[1]] = columns["volume"]
     measured = [ends[1]], [summary["energy"]]
     sweeps = storage.read_sweeps(run.folder / "sweeps.csv")
-    tissues = [Tissue(f"sweep {sweep}", shown[sweep], volumes[sweep]) for sweep in ends]
+    maps = preparation.done().maps if preparation else None, None
+    tissues = [
+        Tissue(f"sweep {sweep}", shown[sweep], volumes[sweep], own) for sweep, own in zip(ends, maps, strict=True)
+    ]
     figures: list[Any] = [
         partial(plot_energy, sweeps, measured, "total, of the table of cells"),
         partial(plot_volumes, list(volumes), list(volumes.values()), float(model.mean_volume)),
@@ -177,7 +176,7 @@ def _finish(run: Run, flat: bool, ended: bool = True) -> None:
     energy = {"initial": sweeps["energy"][0], "final": sweeps["energy"][-1]}
     energy |= {"final_measured": summary["energy"]}
     news = {"energy": energy, "final": {"sweep": run.state.sweep} | summary}
-    run.write_manifest(**news, finished=now() if ended else None, files=run.checksums(*RESULTS))
+    run.write_manifest(**news, finished=now() if preparation else None, files=run.checksums(*RESULTS))
     _print_result(run)
     if is_tube:
         tissue = TissueRecord(np.asarray(place, float), model.tube, run.names, traced=connectivity)

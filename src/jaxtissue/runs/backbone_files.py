@@ -65,8 +65,9 @@ def read_backbones(path: Path, domain: Tube | Domain, degrees: bool = False, ben
     Headers may be in any case and carry units in brackets, such as `axial (um)`. Angles are radians, or with
     `degrees`, or in a column `angle (deg)`, degrees. They are wrapped, with a warning of those that look like
     degrees. Names stand in the first of the columns `name`, `cell`, `label`, `id`, and one without a header,
-    that has another name for each cell. Other columns are left aside. Where a table for a `Tube` has no backbones, but
-    x, y and z of centroids, the backbones through these are taken, with a warning.
+    that has another name for each cell, or else in the first column of all, if it has. Other columns are left
+    aside. Where a table for a `Tube` has no backbones, but x, y and z of centroids, the backbones through these
+    are taken, with a warning.
 
     With `bent`, backbones may be tilted, with columns for both ends, `apical_axial` and so on, or bent, with a row for
     each node: rows of one `cell` at several values of `height`. Their positions have an axis for nodes.
@@ -248,7 +249,10 @@ def _radians(table: _Table, name: str, angle: Float[np.ndarray, " n"], degrees: 
 
 
 def _find_names(table: _Table) -> tuple[str, ...] | None:
-    """The names of the cells by the first column of LABELS that tells them apart."""
+    """The names of the cells by the first column of LABELS that tells them apart.
+
+    Else the first column of all may hold names, under any header: texts or whole numbers, each once.
+    """
     doubt = ""
     for label in LABELS:
         column = label if label else next((name for name in INDEX if name == table.names[0]), None)
@@ -262,7 +266,10 @@ def _find_names(table: _Table) -> tuple[str, ...] | None:
             doubt = doubt or wrong
     if doubt:
         raise ValueError(doubt)
-    return None
+    first = table.names[0]
+    names = [from_field(field.strip()) for field in table.column(first)]
+    numbers = any(_parse(name, table.comma) is not None and not name.isdecimal() for name in names)
+    return None if first in table.columns or numbers or _repeated(table, first, names) else tuple(names)
 
 
 def _repeated(table: _Table, column: str, names: list[str]) -> str:

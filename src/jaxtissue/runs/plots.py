@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import ArrayLike, Float, UInt8
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -28,19 +28,19 @@ from jaxtissue.system.files import replacing
 
 # Okabe and Ito's colors, which color-blind readers tell apart.
 _BLUE, _ORANGE, _GREEN = "#0072B2", "#D55E00", "#009E73"
-_WALL = (0.15, 0.15, 0.15, 1.0)
-_NOTHING = (1.0, 1.0, 1.0, 1.0)
+_WALL, _NOTHING = (38, 38, 38, 255), (255, 255, 255, 255)
 # Without the darkest ends, on which walls and dots would not show.
 _SMALL_TO_LARGE = ListedColormap(mpl.colormaps["RdBu_r"](np.linspace(0.12, 0.88, 256)))
-_PIXELS = (1000, 480)  # of an unrolled surface, along the axis and around it
+_PIXELS = (800, 420)  # of an unrolled surface, along the axis and around it: as many as are shown
 
 
 class Tissue(NamedTuple):
-    """A tissue to draw: what it is called, its positions and the volumes of its cells."""
+    """A tissue to draw: what it is called, its positions, the volumes of its cells, and its maps if they are known."""
 
     title: str
     positions: Float[ArrayLike, "n d"]
     volume: Float[ArrayLike, "n"]
+    maps: Mapping[str, Sequence[SurfaceMap]] | None = None
 
 
 def save_figure(path: Path, draw: Callable[[], tuple[Figure, Any]]) -> None:
@@ -54,13 +54,27 @@ def save_figure(path: Path, draw: Callable[[], tuple[Figure, Any]]) -> None:
             if layout := figure.get_layout_engine():
                 layout.execute(figure)
                 figure.set_layout_engine("none")
-            FigureCanvasAgg(figure).print_png(image)
+            FigureCanvasAgg(figure).print_png(image, pil_kwargs={"compress_level": 1})  # a third of the time
     except Exception as error:
         path.unlink(missing_ok=True)
         warnings.warn(f"{path.name} can't be drawn ({error}); it is left out", stacklevel=2)
         return
     with replacing(path, "wb") as file:
         file.write(image.getvalue())
+
+
+def read_fonts() -> None:
+    """Draw a figure for nothing: the first one takes longer."""
+    with style.context("default"):
+        figure, axes = _panel(None)
+        axes.set(title="Title", xlabel="sweep", yscale="log")
+        FigureCanvasAgg(figure).draw()
+
+
+def map_surfaces(positions: Float[ArrayLike, "n d"], domain: Tube | Domain) -> dict[str, list[SurfaceMap]]:
+    """The maps of both surfaces of a tissue, as `plot_surfaces` shows them."""
+    place = np.asarray(positions)
+    return {surface: map_surface(place, domain, surface, _PIXELS) for surface in ("basal", "apical")}
 
 
 def _panel(ax: Axes | None) -> tuple[Figure, Axes]:
@@ -179,10 +193,10 @@ def plot_surfaces(domain: Tube | Domain, tissues: Sequence[Tissue]) -> tuple[Fig
     shades = ScalarMappable(Normalize(0, 2), _SMALL_TO_LARGE)
     for tissue, columns in zip(tissues, np.split(axes, len(tissues), axis=1), strict=True):
         relative = np.asarray(tissue.volume) / np.mean(np.asarray(tissue.volume))
-        for surface, row in zip(("basal", "apical"), columns, strict=True):
-            maps = map_surface(np.asarray(tissue.positions), domain, surface, _PIXELS)
-            for panel, shown in zip(row, maps, strict=True):
-                _draw_map(panel, shown, shades.to_rgba(relative))
+        maps = tissue.maps or map_surfaces(tissue.positions, domain)
+        for (surface, views), row in zip(maps.items(), columns, strict=True):
+            for panel, shown in zip(row, views, strict=True):
+                _draw_map(panel, shown, shades.to_rgba(relative, bytes=True))
                 told = filter(None, (f"{surface} surface", tissue.title, shown.view))
                 panel.set_title(", ".join(told), fontsize=None if together else "medium")
     across, up = axis_labels(domain)
@@ -193,14 +207,15 @@ def plot_surfaces(domain: Tube | Domain, tissues: Sequence[Tissue]) -> tuple[Fig
     for panel in axes[1]:
         panel.set_xlabel(across)
     dot = Line2D([], [], linestyle="", marker=".", color="black", label="end of a backbone")
-    figure.legend(handles=[dot, Line2D([], [], color=_WALL, label="wall")], loc="outside lower center", ncols=2)
+    wall = Line2D([], [], color=np.divide(_WALL, 255), label="wall")
+    figure.legend(handles=[dot, wall], loc="outside lower center", ncols=2)
     figure.colorbar(shades, ax=axes, label="cell volume / mean volume", extend="max", shrink=0.8)
     return figure, axes
 
 
-def _draw_map(panel: Axes, shown: SurfaceMap, colors: Float[np.ndarray, "n 4"]) -> None:
+def _draw_map(panel: Axes, shown: SurfaceMap, colors: UInt8[np.ndarray, "n 4"]) -> None:
     labels = shown.labels
-    image = np.concatenate([colors, [_NOTHING]])[labels]
+    image = np.concatenate([colors, np.array([_NOTHING], np.uint8)])[labels]
     wall = labels != np.roll(labels, -1, axis=1)
     wall[:, -1] &= shown.goes_on[1]
     beside = labels != np.roll(labels, -1, axis=0)

@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-import networkx as nx
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
@@ -162,8 +161,10 @@ def write_contacts(folder: Path, connectivity: Connectivity, columns: Mapping[st
     cells = zip(("cell_a", "cell_b", "cell_c", "cell_d"), transitions.cells.T, strict=True)
     storage.write_table(folder / "transitions.csv", points | dict(cells))
     if columns is not None:
+        from networkx import write_graphml  # takes a sixth of a second to import
+
         with replacing(folder / "graph.graphml", "wb") as file:
-            nx.write_graphml(tissue_graph(connectivity, printable_columns(columns)), file)
+            write_graphml(tissue_graph(connectivity, printable_columns(columns)), file)
 
 
 def printable_columns(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -16,9 +16,10 @@ from jaxtissue.runs import formats
 from jaxtissue.runs.formats import picture_name
 from jaxtissue.runs.pages import write_page
 from jaxtissue.runs.plots import Tissue, plot_surfaces, save_figure
+from jaxtissue.system.extras import optional
 
 LOOKED_AT = 1e-4  # the tolerance of meshes that are only looked at
-CLOSELY = 1e-5  # and of those of a few cells
+CLOSELY = 4e-5  # and of those of a few cells
 _SECONDS = 0.7  # for each picture of a movie
 
 
@@ -33,6 +34,12 @@ def view_tissue(tissue: TissueRecord, what: str, path: Path, cell: int | None = 
             f"--cell {cell} is none of the {len(tissue.positions)} cells; give 0 to {len(tissue.positions) - 1}"
         )
     VIEWS[what](tissue, path, cell)
+
+
+def import_pictures() -> None:
+    """Import what draws in three dimensions, if it is installed and something is to be drawn."""
+    if formats.LEFT:
+        optional("pyvista.plotting", "viz", "a picture in three dimensions")
 
 
 def leave_pictures(tissue: TissueRecord, folder: Path, flat: bool = False) -> None:

@@ -18,6 +18,7 @@ from jaxtissue.geometry.tube import Tube
 
 BOUNDS = 4
 TINY = 1e-300
+STILL = 1e-100  # a reach of none: products of its inverse with lengths do not overflow
 TOUCH = 1e-11  # in units of R_b + L: nearer is taken as touching
 TIE = 1e-13  # in units of R_b + L: leads that rounding may turn
 BLOCK = 2**15  # pairs of point and rival compared at once: what fits the processor's cache
@@ -239,7 +240,7 @@ def safe_step_length(beyond: np.ndarray, rate: np.ndarray, bend: np.ndarray, rea
     it is 0, so that one step passes a wall.
     """
     beyond = np.minimum(beyond, 0)
-    half = (bend + SLACK / np.maximum(reach, TINY)) / 2
+    half = (bend + SLACK / np.maximum(reach, STILL)) / 2
     root = np.sqrt(np.maximum(rate**2 - 4 * half * beyond, 0))
     met = rate**2 >= 4 * half * beyond
     late = np.where(half > 0, (root - rate) / np.where(half > 0, 2 * half, 1), np.inf)

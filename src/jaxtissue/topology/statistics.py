@@ -7,8 +7,8 @@ Spreads", GRAPP 2025.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import networkx as nx
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float
 
@@ -20,6 +20,9 @@ from jaxtissue.topology.domain_connectivity import connect_domain
 from jaxtissue.topology.edges import trace_edges
 from jaxtissue.topology.traced_sizes import TracedSizes, find_ends, traced_sizes
 from jaxtissue.topology.transitions import CellForms, Transitions, find_forms, find_transitions
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 KIND_ORDER = ("apical_basal", "apical", "basal", "internal")
 SURFACES = {"apical": ("apical_basal", "apical"), "basal": ("apical_basal", "basal"), "all": KIND_ORDER}
@@ -219,7 +222,7 @@ def polygon_classes(
     return table | {"sides_times_neighbor_sides": classes * around}
 
 
-def tissue_graph(connectivity: Connectivity, columns: Mapping[str, np.ndarray] | None = None) -> nx.Graph:
+def tissue_graph(connectivity: Connectivity, columns: Mapping[str, np.ndarray] | None = None) -> "nx.Graph":
     """Build the contact graph of a tissue: one node per cell, one edge per contact (paper, section 4.4).
 
     All attributes are plain Python values, so the graph can be written by `networkx.write_graphml` and similar
@@ -241,7 +244,9 @@ def tissue_graph(connectivity: Connectivity, columns: Mapping[str, np.ndarray] |
     >>> graph.nodes[0]["neighbors"], graph.edges[0, 1]["kind"]
     (3, 'apical_basal')
     """
-    contacts, graph = connectivity.contacts, nx.Graph()
+    from networkx import Graph  # takes a sixth of a second to import
+
+    contacts, graph = connectivity.contacts, Graph()
     columns = tabulate_connectivity(connectivity) if columns is None else columns
     for cell in range(contacts.cells):
         graph.add_node(cell, **{name: np.asarray(column)[cell].item() for name, column in columns.items()})
