@@ -28,7 +28,8 @@ from jaxtissue.system.files import replacing
 
 # Okabe and Ito's colors, which color-blind readers tell apart.
 _BLUE, _ORANGE, _GREEN = "#0072B2", "#D55E00", "#009E73"
-_WALL, _NOTHING = (38, 38, 38, 255), (255, 255, 255, 255)
+_INK = "#262626"
+_WALL, _NOTHING = (38, 38, 38, 255), (255, 255, 255, 255)  # the same in bytes
 # Without the darkest ends, on which walls and dots would not show.
 _SMALL_TO_LARGE = ListedColormap(mpl.colormaps["RdBu_r"](np.linspace(0.12, 0.88, 256)))
 _PIXELS = (800, 420)  # of an unrolled surface, along the axis and around it: as many as are shown
@@ -207,7 +208,7 @@ def plot_surfaces(domain: Tube | Domain, tissues: Sequence[Tissue]) -> tuple[Fig
     for panel in axes[1]:
         panel.set_xlabel(across)
     dot = Line2D([], [], linestyle="", marker=".", color="black", label="end of a backbone")
-    wall = Line2D([], [], color=np.divide(_WALL, 255), label="wall")
+    wall = Line2D([], [], color=_INK, label="wall")
     figure.legend(handles=[dot, wall], loc="outside lower center", ncols=2)
     figure.colorbar(shades, ax=axes, label="cell volume / mean volume", extend="max", shrink=0.8)
     return figure, axes
