@@ -222,8 +222,7 @@ def in_precision(model: Model, dtype: DTypeLike) -> Model:
     def convert(leaf: Any) -> np.ndarray:
         return np.asarray(leaf, dtype if np.asarray(leaf).dtype.kind == "f" else None)
 
-    constants = replace(model, parameters=None, adhesion=None)
-    converted = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), constants)
+    converted = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), replace(model, parameters=None, adhesion=None))
     cells = jax.tree.map(convert, (model.parameters, model.adhesion))
     return replace(converted, parameters=cells[0], adhesion=cells[1])
 
@@ -274,8 +273,7 @@ def check_energy(model: Model) -> None:
     if not np.allclose(energy[:2], part, rtol=1e-3, atol=1e-6 * float(np.abs(energy).max())):
         raise ValueError(f"{_name(model)} of a cell depends on others; give a function of each cell alone")
     if model.cell_energy in (epithelial_energy, volume_elasticity):
-        off = float(volume[1]) - float(model.mean_volume)
-        right = float(model.modulus) / 2 * off**2
+        right = float(model.modulus) / 2 * (float(volume[1]) - float(model.mean_volume)) ** 2
         least = np.asarray(volume_elasticity(CellGeometry(volume, area), model), float)[1]
         if not 0.9 * right <= least <= 1.1 * right:
             small = f"modulus={model.modulus} makes energies of {right:.1g}, which vanish in {dtype}"
