@@ -35,7 +35,7 @@ def test_what_measure_can_not_do_there_is_one_line(tmp_path, capsys):
         str(tmp_path / "m"),
     ]
     for more, told in (
-        ([], "or measure sizes alone, with --no-contacts"),
+        ([], "or measure sizes only, with --no-contacts"),
         (["--tolerance", "0.01"], "finer --resolution"),
     ):
         assert main([*run, *more]) == 2

@@ -93,8 +93,8 @@ OWN = {
     "no numbers": (lambda cells, model: jnp.log(-cells.volume), "is nan in float32"),
     "infinite": (lambda cells, model: cells.volume * 1e30 * 1e30, "is inf in float32 .*--x64"),
     "array of its own": (lambda cells, model: cells.volume * jnp.arange(57.0), "fails .*each cell alone"),
-    "others": (lambda cells, model: cells.volume / cells.volume.mean(), "depends on others"),
-    "place": (lambda cells, model: cells.volume + jnp.roll(cells.lateral_area, 1), "depends on others"),
+    "others": (lambda cells, model: cells.volume / cells.volume.mean(), "depends on other cells"),
+    "place": (lambda cells, model: cells.volume + jnp.roll(cells.lateral_area, 1), "depends on other cells"),
 }
 
 

@@ -191,9 +191,9 @@ def test_the_command_exports_what_measure_left(tmp_path, positions, capsys):
     ("arguments", "told"),
     [
         (["--to", "pdf"], "argument --to: invalid choice: 'pdf'"),
-        (["--to", "ome-tiff", "--spacing", "1e-5", "1", "1e-5"], "e+12 voxels; give a wider one"),
+        (["--to", "ome-tiff", "--spacing", "1e-5", "1", "1e-5"], "e+12 voxels; give a larger one"),
         (["--to", "pvd"], "pvd needs the sweeps of a run"),
-        (["--to", "csv", "--spacing", "1", "1", "1"], "--spacing is for ome-tiff"),
+        (["--to", "csv", "--spacing", "1", "1", "1"], "--spacing applies to ome-tiff"),
     ],
 )
 def test_what_cannot_be_exported_is_told_in_a_line(tmp_path, positions, capsys, arguments, told):

@@ -219,7 +219,7 @@ def test_each_cell_has_its_own_target(x64):
     [
         (np.ones(56), r"parameters has the shape \(56,\); give one row for each of 57"),
         ({"target": np.float64(3)}, r"parameters\['target'\] has the shape \(\)"),
-        ([np.full(57, np.nan)], r"parameters\[0\] holds what is not a finite number"),
+        ([np.full(57, np.nan)], r"parameters\[0\] contains a value that is not finite"),
     ],
 )
 def test_parameters_are_refused_by_name(parameters, told):

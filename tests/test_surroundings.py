@@ -77,7 +77,7 @@ def test_a_run_in_odd_surroundings_is_the_usual_one(tmp_path) -> None:
 def test_a_platform_that_is_not_there_gets_one_line() -> None:
     code, _, told = end(start(quick.command("info"), JAX_PLATFORMS="nonesuch"))
     assert code == 2
-    assert told == "jaxtissue: error: JAX has no device for JAX_PLATFORMS=nonesuch; correct or unset it\n"
+    assert told == "jaxtissue: error: JAX has no device for JAX_PLATFORMS=nonesuch; correct or unset this variable\n"
 
 
 def test_closed_streams_no_home_and_a_name_that_is_no_text(tmp_path) -> None:

@@ -206,7 +206,7 @@ def check_parameters(parameters: Any, cells: int) -> None:
         if np.ndim(table) == 0 or len(table) != cells:
             raise ValueError(f"{name} has the shape {np.shape(table)}; give one row for each of {cells} cells")
         if not isinstance(table, Tracer) and not np.isfinite(np.asarray(table, float)).all():
-            raise ValueError(f"{name} holds what is not a finite number; give one for each cell")
+            raise ValueError(f"{name} contains a value that is not finite; give one finite number per cell")
 
 
 def check_numbers(model: Model, cells: int, within: float = 0.01) -> None:
@@ -238,7 +238,7 @@ def cell_energies(cells: CellGeometry, model: Model) -> Float[Array, "cells"]:
     found, wanted = model.cell_energy(cells, model), jnp.shape(cells.volume)
     if jnp.shape(found) != wanted or not jnp.issubdtype(jnp.result_type(found), jnp.floating):
         given = f"{jnp.result_type(found)} of shape {jnp.shape(found)} for cells of shape {wanted}"
-        raise ValueError(f"{_name(model)} gives {given}; give one real number for each cell")
+        raise ValueError(f"{_name(model)} gives {given}; return one real number per cell")
     return found
 
 
@@ -271,7 +271,7 @@ def check_energy(model: Model) -> None:
         raise ValueError(f"{_name(model)} fails ({reason}); {cure}") from error
     require_finite(energy, model)
     if not np.allclose(energy[:2], part, rtol=1e-3, atol=1e-6 * float(np.abs(energy).max())):
-        raise ValueError(f"{_name(model)} of a cell depends on others; give a function of each cell alone")
+        raise ValueError(f"{_name(model)} of a cell depends on other cells; give a function of each cell alone")
     if model.cell_energy in (epithelial_energy, volume_elasticity):
         right = float(model.modulus) / 2 * (float(volume[1]) - float(model.mean_volume)) ** 2
         least = np.asarray(volume_elasticity(CellGeometry(volume, area), model), float)[1]

@@ -127,11 +127,11 @@ def anneal(
             f"the model is of {model.domain}, and the positions stand in {domain}; make one for that {kind}"
         )
     if sweeps < 0:
-        raise ValueError(f"sweeps={sweeps} is below 0; give a number of sweeps")
+        raise ValueError(f"sweeps={sweeps} is negative; give sweeps of at least 0")
     given = np.asarray(temperature, float)
     schedule = constant_schedule(given.item(), sweeps) if given.ndim == 0 else given
     if schedule.shape != (sweeps,):
-        raise ValueError(f"{schedule.shape} temperatures for {sweeps} sweeps; give one, or one for each sweep")
+        raise ValueError(f"{schedule.shape} temperatures for {sweeps} sweeps; give one temperature, or one per sweep")
     annealer = Annealer(model, resolution, "is-mh", seed, schedule)
     state = annealer.start(place)
     records, last = [annealer.record(state)], state.positions

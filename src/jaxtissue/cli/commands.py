@@ -86,11 +86,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         if _has_device():
             program_cache.forget_loaded()
             raise
-        return _fail(f"JAX has no device for JAX_PLATFORMS={CONFIG.jax_platforms}; correct or unset it", 2)
+        return _fail(f"JAX has no device for JAX_PLATFORMS={CONFIG.jax_platforms}; correct or unset this variable", 2)
     except MemoryError as error:
-        return _fail(f"out of memory ({error}); take fewer cells", 1)
+        return _fail(f"out of memory ({error}); use fewer cells", 1)
     except KeyboardInterrupt:
-        return _fail("stopped by Ctrl-C; what was saved before can be resumed", 130)
+        return _fail("stopped by Ctrl-C; results saved so far can be resumed", 130)
 
 
 def anneal(arguments: dict[str, Any]) -> int:
@@ -104,12 +104,12 @@ def anneal(arguments: dict[str, Any]) -> int:
     if resume:
         return resume_annealing(folder, arguments, finish, flat)
     if finish:
-        raise ValueError("--finish is for a run that was stopped; add --resume")
+        raise ValueError("--finish needs a run that was stopped; add --resume")
     refuse_both(arguments, "minimum_contact")
     need_relative(arguments, arguments)
     settings = Settings(**arguments)
     if settings.final_temperature is not None and not settings.temperature > 0:
-        raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
+        raise ValueError("--final-temperature needs an initial temperature above 0; give a --temperature above 0")
     _use_x64(settings.x64)
     return run_annealing(folder, settings, force, flat)
 
@@ -145,7 +145,7 @@ def grid(arguments: dict[str, Any]) -> int:
     need_relative(arguments, axes)
     runs = Grid(axes, arguments)
     if runs.shared.get("final_temperature") and min(axes.get("temperature", [1.0])) == 0:
-        raise ValueError("--final-temperature needs cooling from above 0; give a --temperature above 0")
+        raise ValueError("--final-temperature needs an initial temperature above 0; give a --temperature above 0")
     check_grid_folder(folder, runs, force)
     part = find_part(*places)
     use_cores(min(len(part.share(runs.rows)), batch or len(runs.rows)))

@@ -17,7 +17,7 @@ def need_relative(arguments: dict[str, Any], given: dict[str, Any]) -> None:
     """Raise `ValueError` for --relative with defaults that have units."""
     for name in ("tension", "temperature"):
         if arguments.get("relative") and name not in given:
-            raise ValueError(f"--relative needs --{name} without units; see --help for the paper's")
+            raise ValueError(f"--relative needs a dimensionless --{name}; see --help for the values of the paper")
 
 
 def refuse_both(arguments: dict[str, Any], *names: str) -> None:
@@ -25,13 +25,13 @@ def refuse_both(arguments: dict[str, Any], *names: str) -> None:
     for name in names:
         if arguments.get("no_contacts") and arguments.get(name):
             option = "--" + name.replace("_", "-")
-            raise ValueError(f"{option} needs contacts; leave it or --no-contacts out")
+            raise ValueError(f"{option} needs contacts; leave out either this option or --no-contacts")
 
 
 def refuse_tolerance(domain: Tube | Domain, tolerance: float | None) -> None:
     """Raise `ValueError` for a tolerance on other domains than tubes."""
     if tolerance is not None and not isinstance(domain, Tube):
-        raise ValueError("--tolerance is for tubes alone; give a finer --resolution, as fine, for other domains")
+        raise ValueError("--tolerance is available for tubes only; use --resolution fine for other domains")
 
 
 def found_contacts(positions: Any, domain: Tube | Domain, minimum: float) -> Connectivity:
@@ -39,7 +39,7 @@ def found_contacts(positions: Any, domain: Tube | Domain, minimum: float) -> Con
     try:
         return find_connectivity(positions, domain, minimum)
     except ValueError as error:
-        raise ValueError(f"{error}; or measure sizes alone, with --no-contacts") from error
+        raise ValueError(f"{error}; or measure sizes only, with --no-contacts") from error
 
 
 def read_tissue(arguments: dict[str, Any]) -> tuple[Tube | Domain, BackboneTable]:
@@ -59,7 +59,7 @@ def given_domain(
     for name in sizes:
         if name in arguments:
             option = "--" + name.replace("_", "-")
-            raise ValueError(f"{option} is a size of the domain in {path}; leave it or --domain out")
+            raise ValueError(f"{option} is a size of the domain in {path}; leave out either this option or --domain")
     return load(path)
 
 
@@ -67,7 +67,7 @@ def _tube_sizes(arguments: dict[str, Any]) -> list[float]:
     """The sizes of the tube. Raises `ValueError` where one is not given."""
     missing = ["--" + name.replace("_", "-") for name in TUBE_SIZES if name not in arguments]
     if missing:
-        raise ValueError(f"{', '.join(missing)} not given; give all sizes of the tube, or its file by --domain")
+        raise ValueError(f"{', '.join(missing)} not given; give all sizes of the tube, or a file with --domain")
     return [arguments[name] for name in TUBE_SIZES]
 
 

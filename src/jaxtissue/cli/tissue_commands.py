@@ -16,7 +16,7 @@ def export(arguments: dict[str, Any]) -> int:
     """Write the tissue of a run in the formats of other programs."""
     folder = arguments["out"]
     if arguments["spacing"] and "ome-tiff" not in arguments["to"]:
-        raise ValueError("--spacing is for ome-tiff; add it to --to, or leave --spacing out")
+        raise ValueError("--spacing applies to ome-tiff only; add ome-tiff to --to, or leave --spacing out")
     check_folder(folder, arguments["force"])
     tissue = read_tissue(arguments["run"], arguments["unit"])
     spacing = arguments["spacing"] and tuple(arguments["spacing"])

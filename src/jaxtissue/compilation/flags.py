@@ -24,7 +24,8 @@ def turn_off_wrong_sums() -> None:
     os.environ["XLA_FLAGS"] = f"{flags} --{OPTION}=".strip()
     if _has_started():
         cure = f"import jaxtissue first, or set XLA_FLAGS=--{OPTION}="
-        warnings.warn(f"jaxlib {version('jaxlib')} may add wrongly on CPUs, and JAX runs already; {cure}", stacklevel=3)
+        told = f"jaxlib {version('jaxlib')} may compute wrong sums on CPUs, and JAX has already started"
+        warnings.warn(f"{told}; {cure}", stacklevel=3)
 
 
 def _has_started() -> bool:

@@ -36,7 +36,7 @@ def cylindrical_voxels(
     ((8, 3), 25.133, 25.133)
     """
     if len(shape) != 3 or min(shape) < 1:
-        raise ValueError(f"shape={shape} holds no voxel; give (axial, radial, angular) counts of at least 1")
+        raise ValueError(f"shape={shape} contains no voxel; give (axial, radial, angular) counts of at least 1")
     dtype = jnp.result_type(tube.length, tube.apical_radius, tube.basal_radius, 0.0)
     middles = [(jnp.arange(count, dtype=dtype) + 0.5) / count for count in shape]
     share_x, share_r, share_t = (m.ravel() for m in jnp.meshgrid(*middles, indexing="ij"))

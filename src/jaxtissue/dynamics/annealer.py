@@ -108,7 +108,7 @@ class Annealer:
         if not (np.isfinite(temperatures).all() and (temperatures >= 0).all()):
             raise ValueError("temperatures must be finite and at least 0; change the schedule")
         if conflicts == "8-phi" and isinstance(model.domain, Domain):
-            raise ValueError("conflicts='8-phi' is known on tubes alone; use 'near'")
+            raise ValueError("conflicts='8-phi' is available for tubes only; use 'near'")
         check_energy(model)
         dtype = jnp.result_type(float)
         self.model = in_precision(model, dtype)

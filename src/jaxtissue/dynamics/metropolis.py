@@ -104,7 +104,7 @@ def warn_of_coarse_places(model: Model, cells: int, dtype: np.dtype) -> None:
     """
     apart, longest = float(np.spacing(dtype.type(model.tube.length))), float(move_bound(model, cells))
     if apart > COARSE * longest:
-        told = f"axial places are {apart:.2g} apart in {dtype}, and backbones some {4 * longest:.2g}"
+        told = f"axial positions are {apart:.2g} apart in {dtype}, and backbones some {4 * longest:.2g}"
         warnings.warn(f"{told}; use 64 bits (--x64)", stacklevel=4)
 
 

@@ -105,7 +105,7 @@ def temper(
         raise ValueError(f"sweeps={sweeps}, seed={seed}: give at least 0 sweeps, and a seed of 0 to 2^32 - 1")
     starts = positions if np.ndim(positions) == 3 else [positions] * len(heat)
     if len(starts) != len(heat):
-        raise ValueError(f"{len(starts)} starts for {len(heat)} temperatures; give one, or one for each")
+        raise ValueError(f"{len(starts)} starts for {len(heat)} temperatures; give one start, or one per temperature")
     plans = zip(np.random.SeedSequence(seed).generate_state(len(heat)).tolist(), heat, strict=True)
     runs = [Annealer(model, resolution, algorithm, number, np.full(sweeps, value)) for number, value in plans]
     states = [run.start(start) for run, start in zip(runs, starts, strict=True)]

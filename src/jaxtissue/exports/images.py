@@ -22,7 +22,7 @@ def write_ome_tiff(tissue: TissueRecord, folder: Path, spacing: tuple[float, flo
     across, length = 2 * float(tube.basal_radius), float(tube.length)
     count = np.prod([size / side for size, side in zip((across, across, length), spacing, strict=True)])
     if count > VOXELS:
-        raise ValueError(f"--spacing {' '.join(map(str, spacing))} makes {count:.2g} voxels; give a wider one")
+        raise ValueError(f"--spacing {' '.join(map(str, spacing))} makes {count:.2g} voxels; give a larger one")
     image = label_image(tissue.positions, tube, spacing)
     dz, dy, dx = spacing
     deep, high, _ = image.shape

@@ -194,7 +194,7 @@ def _read_object(path: Path) -> dict[str, Any]:
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f"it is not JSON ({error}); give the JSON file of a domain") from error
     if not isinstance(values, dict):
-        raise ValueError('it holds no object; give {"shape": ..., and its sizes}')
+        raise ValueError('it contains no JSON object; give {"shape": ..., and its sizes}')
     return values
 
 

@@ -152,7 +152,7 @@ class Domain(eqx.Module):
             ValueError: If `count` is less than 1.
         """
         if count < 1:
-            raise ValueError(f"count={count} backbones fill no tissue; give at least 1")
+            raise ValueError(f"count={count}: a tissue has at least one backbone; give at least 1")
         areas = np.asarray(_apical_areas(self, self.base.nodes(32)[0]), float)
         bound = 1.05 * areas.max()  # between the nodes it may be larger
         turns = max(8, math.ceil(20 * bound / areas.mean()))  # all are refused once in 1e9 points

@@ -148,7 +148,7 @@ class Tube(eqx.Module):
         (5, 2)
         """
         if count < 1:
-            raise ValueError(f"count={count} backbones fill no tissue; give at least 1")
+            raise ValueError(f"count={count}: a tissue has at least one backbone; give at least 1")
         return _random_positions(self, key, count)
 
 

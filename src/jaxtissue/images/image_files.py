@@ -35,7 +35,7 @@ def read_image(path: Path, spacing: Any = None) -> ImageFile:
     """
     ending = path.suffix.lower()
     if ending not in NAMES:
-        raise ValueError(f"{path} is no image that can be read; give one of {', '.join(NAMES)}")
+        raise ValueError(f"{path} is not an image that can be read; give one of {', '.join(NAMES)}")
     tifffile: Any = optional("tifffile", "io", "reading TIFF") if ending != ".npy" else None
     try:
         image, told, unit = _read_tiff(tifffile, path) if tifffile else (np.load(path, allow_pickle=False), None, None)

@@ -66,7 +66,7 @@ def as_resolution(given: str | Resolution | tuple[int, float]) -> Resolution:
     Resolution(layers=8, density=12.0)
     >>> as_resolution("sharp")
     Traceback (most recent call last):
-    ValueError: unknown resolution 'sharp'; use draft, standard, fine or LAYERSxDENSITY such as 8x12
+    ValueError: unknown resolution 'sharp'; use draft, standard, fine or LAYERSxLINES such as 8x12
     """
     if isinstance(given, str) and given in PRESETS:
         return PRESETS[given]
@@ -78,7 +78,7 @@ def as_resolution(given: str | Resolution | tuple[int, float]) -> Resolution:
         resolution, whole = Resolution(0, 0.0), False
     if not (whole and 1 <= resolution.layers <= 64 and 1 <= resolution.density <= 64):
         known = ", ".join(PRESETS)
-        raise ValueError(f"unknown resolution {given!r}; use {known} or LAYERSxDENSITY such as 8x12")
+        raise ValueError(f"unknown resolution {given!r}; use {known} or LAYERSxLINES such as 8x12")
     return resolution
 
 

@@ -110,7 +110,7 @@ def relax(
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; use one of {', '.join(METHODS)}")
     if steps < 0 or not tolerance > 0:
-        raise ValueError(f"steps={steps}, tolerance={tolerance}: give a number of steps and a positive fraction")
+        raise ValueError(f"steps={steps}, tolerance={tolerance}: give at least 0 steps and a tolerance above 0")
     require_tube(model.domain)
     start = np.asarray(as_positions(positions, model.tube))
     check_numbers(model, len(start))

@@ -63,7 +63,7 @@ def resume_annealing(folder: Path, given: Mapping[str, Any], finish: bool = Fals
     if not (folder / "checkpoint.npz").is_file():
         raise ValueError(f"{folder} has no checkpoint to resume; leave --resume out to begin there")
     if finish and "sweeps" in given:
-        raise ValueError("--finish plays no more sweeps; leave --sweeps out")
+        raise ValueError("--finish makes no more sweeps; leave --sweeps out")
     with Stop() as stop, alone(folder):
         run = take_up(folder, given, finish)
         if run is None:

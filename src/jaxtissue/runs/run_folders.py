@@ -50,7 +50,7 @@ def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) ->
         ValueError: If the folder contains no tissue, a tissue that is not in a `Tube`, or an unfinished run.
     """
     if not folder.is_dir():
-        raise ValueError(f"{folder} is no folder; give one that anneal, relax or measure wrote")
+        raise ValueError(f"{folder} is not a folder; give one written by anneal, relax, measure or fit")
     history: dict[int, np.ndarray] = {}
     if (folder / MANIFEST).is_file() and not (folder / DOMAIN).is_file():
         manifest = read_sealed(folder / MANIFEST, "write it anew with --resume --finish")

@@ -31,7 +31,7 @@ def view_tissue(tissue: TissueRecord, what: str, path: Path, cell: int | None = 
     """
     if cell is not None and not 0 <= cell < len(tissue.positions):
         raise ValueError(
-            f"--cell {cell} is none of the {len(tissue.positions)} cells; give 0 to {len(tissue.positions) - 1}"
+            f"--cell {cell} is not one of the {len(tissue.positions)} cells; give 0 to {len(tissue.positions) - 1}"
         )
     VIEWS[what](tissue, path, cell)
 

@@ -106,7 +106,7 @@ def measure_tissue(
     domain = domain_of(domain, positions)
     if isinstance(domain, Domain):
         if tolerance is not None:
-            raise ValueError(f"tolerance={tolerance} is for tubes alone; take a finer resolution on other domains")
+            raise ValueError(f"tolerance={tolerance} is available for tubes only; use a finer resolution here")
         return measure_domain_tissue(positions, domain, resolution, surfaces, refine)
     given, resolution = as_positions(positions, domain, float), as_resolution(resolution)
     limits, defect, n = as_limits(tolerance), 0.0, len(given)
