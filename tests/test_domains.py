@@ -169,6 +169,7 @@ def test_contacts_are_those_of_the_exact_path(egg):
     assert errors(lateral, exact.lateral_area) < 2e-3
 
 
+@pytest.mark.filterwarnings("ignore:the sections of the 80 cells")
 def test_measure_on_a_domain(egg, tmp_path):
     storage.write_backbones(tmp_path / "egg.csv", egg[0], columns=EGG.columns)
     save_domain(EGG, tmp_path / "egg.json")
@@ -212,6 +213,7 @@ def test_cells_turn_with_the_tissue():
     np.testing.assert_allclose(second.volume, np.asarray(first.volume)[order], atol=2e-3 * float(first.volume.mean()))
 
 
+@pytest.mark.filterwarnings("ignore:the sections of the 2 cells")
 def test_few_cells_on_a_sphere_are_doubted():
     sphere = jt.Sphere(1, 1.5)
     with pytest.warns(UserWarning, match="take more cells"):

@@ -105,6 +105,7 @@ BAD_FILES = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:.* has angles up to")
 @pytest.mark.parametrize("content", BAD_FILES, ids=repr)
 def test_bad_files_are_refused(table, content):
     path = table(content)

@@ -48,6 +48,7 @@ def test_a_tube_has_what_tracing_finds(name):
     np.testing.assert_allclose(found.stretch_anisotropy, ends[1] / ends[0], rtol=1e-9)
 
 
+@pytest.mark.filterwarnings("ignore:the areas of .* walls may be off")
 def test_transition_points_have_four_nearest_backbones():
     positions = random_positions(BENT, 60)
     found = jt.find_connectivity(positions, BENT)
@@ -113,6 +114,7 @@ def test_walls_with_large_errors_are_named(monkeypatch):
         (jt.Shell(lambda n: n * jnp.array([1.5, 1.0, 1.0]), lambda n: n * 1.9), 2),
     ],
 )
+@pytest.mark.filterwarnings("ignore:the areas of .* walls may be off")
 def test_closed_shapes_have_the_degree_of_their_euler_number(domain, euler):
     """6 - 6 euler / n on each surface, and more neighbors in all by half of the transitions."""
     positions = random_positions(domain, 60)
