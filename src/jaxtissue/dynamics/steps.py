@@ -69,7 +69,7 @@ def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -
 
     Raises:
         ValueError: If a position is invalid, if the number of positions does not match the model, if the domain is not
-            a `Tube`, or if the energy is not one finite number per cell.
+            a `Tube`, or if `cell_energy` does not return one finite value per cell.
 
     >>> from jaxtissue.energy import tube_model
     >>> from jaxtissue.geometry.tube import Tube
@@ -99,8 +99,8 @@ def step(
 ) -> tuple[SweepState, SweepInfo]:
     """Run one sweep of independent-set Metropolis-Hastings, one proposed move per cell (paper, section 3.3).
 
-    `step` is a pure function: it can be used with `jax.jit`, `jax.lax.scan`, and `jax.vmap` over keys and states. See
-    `init` for the number of sweeps for which a state can be used.
+    `step` is a pure function: it can be used with `jax.jit`, `jax.lax.scan`, and `jax.vmap` over keys and states. Call
+    `init` again about every ten sweeps: `step` does not check its neighbor lists.
 
     Args:
         key: JAX random key for this sweep.
@@ -110,13 +110,14 @@ def step(
             probability min(1, exp(-dE / T)). Defaults to 2.
 
     Returns:
-        The state after the sweep, and scalar counts: `accepted` moves; `collisions`, moves deferred to an additional
-        round of the same sweep because they affect a cell already affected by an earlier move in their round;
-        `left_cell`, proposals outside the current cell; `rounds`; and `energy_change`, the sum of the accepted energy
-        differences.
+        The state after the sweep, and a `SweepInfo` of scalars: `accepted`, the number of accepted moves; `rounds`, the
+        number of independent sets of moves; `collisions`, moves deferred to an additional round because they affect a
+        cell already affected by an earlier move in their round; `left_cell`, proposals that would move a backbone out
+        of its current cell (they are not rejected for that); `energy_change`, the sum of the accepted differences.
 
     Raises:
-        ValueError: If the state has another number of cells than the model, its parameters, or its types.
+        ValueError: If the number of cells differs between the state and the model or its per-cell parameters or cell
+            types.
     """
     check_numbers(model, len(state.tissue.place.axial))
     shape, dtype = state.tissue.wide.shape, state.tissue.reach.dtype

@@ -49,7 +49,7 @@ class SweepRecord(NamedTuple):
     """Record of one sweep: energy of the tissue after the sweep, and counts of its moves (paper, sections 3.2 and 3.3).
 
     Attributes:
-        sweep: Number of the sweep, starting at 1; 0 for the initial state.
+        sweep: Index of the sweep, starting at 1; 0 for the initial state.
         energy: Energy of the tissue after the sweep.
         volume_energy: Volume term of the paper's energy, sum of K/2 (Vbar - V_i)^2; also reported if the model has
             another `cell_energy`.
@@ -65,8 +65,8 @@ class SweepRecord(NamedTuple):
             among the replicas.
         left_cell: Number of proposals that would move the apical end of a backbone outside its current cell. The paper
             excludes them; here they are accepted or rejected like all others.
-        drift: Relative difference between the incrementally updated energy and a full recomputation on new neighbor
-            lists; 0 after sweeps without a recomputation.
+        drift: Relative difference between the incrementally updated energy and a full recomputation with rebuilt
+            neighbor lists; 0 if nothing was recomputed after this sweep.
     """
 
     sweep: int

@@ -81,10 +81,10 @@ class Slab(Shape):
 class RoundTube(Shape):
     """Straight round tube that may be periodic along its axis.
 
-    For a tube with two ends use `Tube`, which describes the same tissue and supports more (relaxation, meshes, exports)
-    and any ratio of radii. Use `RoundTube` for a periodic tube, or to compare a round tube with the other domains, as
-    its cells are measured by the same method as theirs. The position of a backbone is (axial, angle), with the angle in
-    radians.
+    For a tube with two ends use `Tube`, which describes the same tissue, is faster and more accurate, and supports
+    meshes and exports. Use `RoundTube` for a periodic tube, or to compare a round tube with other domains: `RoundTube`
+    measures cells by the method of the other domains. The position of a backbone is (axial, angle), with axial from 0
+    to `length` and the angle in radians.
 
     Attributes:
         length: Length of the tube, or its period if `periodic`. Its unit is the unit of all lengths.

@@ -75,16 +75,19 @@ def fit_neighbor_law(ratios: Float[ArrayLike, " k"], neighbors: Float[ArrayLike,
         neighbors: Mean number of neighbors at each ratio, shape [k].
 
     Returns:
-        A `NeighborLaw` with fields `low`, `high`, `middle`, `steepness`, `standard_errors`, `residual` and `r2`, and a
-        method `predict(ratios)`.
+        A `NeighborLaw`, N(s) = low + (high - low) / (1 + exp(-steepness (ln s - ln middle))) with s = R_b / R_a. Its
+        fields are these four parameters, `standard_errors` (a dict by name), `residual` (root mean square) and `r2`;
+        `predict(ratios)` evaluates it.
 
     Raises:
         ValueError: If there are fewer than four different ratios, if a value is not finite or a ratio is not positive,
             or if no logistic function fits, for example because `neighbors` does not level off.
 
-    >>> law = fit_neighbor_law([1, 2, 5, 10, 50], NeighborLaw(6, 10, 5, 1, {}, 0, 1)([1, 2, 5, 10, 50]))
-    >>> round(law.low, 3), round(law.high, 3), round(law.middle, 3), round(law.steepness, 3)
+    >>> law = fit_neighbor_law(ratios=[1, 2, 5, 10, 50], neighbors=[6.667, 7.143, 8.0, 8.667, 9.636])
+    >>> round(law.low, 1), round(law.high, 1), round(law.middle, 1), round(law.steepness, 1)
     (6.0, 10.0, 5.0, 1.0)
+    >>> law.predict([5, 1e9]).round(2).tolist()
+    [8.0, 10.0]
     """
     from scipy.optimize import OptimizeWarning, curve_fit  # takes a fifth of a second to import
 

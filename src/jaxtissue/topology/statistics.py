@@ -132,20 +132,27 @@ def tabulate_connectivity(connectivity: Connectivity) -> dict[str, np.ndarray]:
 
 
 def summarize_connectivity(connectivity: Connectivity, inner_only: bool = False) -> dict[str, float]:
-    """Average contacts and transition points over the cells of a tissue (paper, section 4.4).
+    """Average the numbers of contacts and transition points over the cells of a tissue (paper, section 4.4).
 
     Args:
         connectivity: Result of `find_connectivity`.
         inner_only: Whether to leave out cells that touch an end of the domain. Defaults to False.
 
     Returns:
-        Mapping from name to number; all values are NaN if no cell is left. `neighbors`, `apical_basal_neighbors`,
-        `apical_neighbors`, `basal_neighbors`, `internal_neighbors` and `transitions` are means of the columns of
-        `tabulate_connectivity`; `transitions_max` is a maximum. `apical_degree` and `basal_degree` are mean numbers of
-        neighbors on one surface. Fractions of cells are `scutoid_fraction`, `internal_fraction` (at least one internal
-        neighbor), `ring_fraction` and `detached_fraction` (more than one connected component). `identity_residual` is
-        `neighbors` - `apical_degree` - `transitions` / 2, which is 0 if no cell encircles the lumen, no two cells touch
-        twice, and no part of the diagram is cut off by a threshold or by an end of the domain.
+        Mapping from name to number; all values are NaN if no cell is left.
+
+        - `neighbors`: mean number of neighbors; `apical_basal_neighbors`, `apical_neighbors`, `basal_neighbors` and
+          `internal_neighbors`: the same by the surfaces that the common wall reaches.
+        - `transitions`, `transitions_max`: mean and maximum number of transition points (points where four cells
+          meet) per cell.
+        - `apical_degree`, `basal_degree`: mean number of neighbors on one surface.
+        - `scutoid_fraction`: fraction of cells with at least one transition point.
+        - `internal_fraction`: fraction of cells with at least one neighbor on neither surface.
+        - `ring_fraction`: fraction of cells that encircle the lumen.
+        - `detached_fraction`: fraction of cells with more than one connected component.
+        - `identity_residual`: mean of `neighbors` - `apical_degree` - `transitions` / 2. It is 0 in a tissue in which
+          no cell encircles the lumen and no two cells share two walls, unless walls were left out by a threshold or
+          cells touch an end.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> summary = summarize_connectivity(four)
@@ -235,9 +242,9 @@ def tissue_graph(connectivity: Connectivity, columns: Mapping[str, np.ndarray] |
 
     Returns:
         Undirected graph with nodes 0 to n - 1. Node attributes are those of `columns`. Edge attributes are `area` of
-        the wall, `apical_length` and `basal_length` of its edges on the surfaces, `kind` ("apical_basal", "apical",
-        "basal" or "internal": the surfaces that the wall reaches), and `pieces`, the number of connected components of
-        the wall.
+        the wall, `apical_length` and `basal_length` of its borders on the two surfaces, `kind` ("apical_basal",
+        "apical", "basal" or "internal": the surfaces that the wall reaches), and `pieces`, the number of connected
+        components of the wall.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> graph = tissue_graph(four)
