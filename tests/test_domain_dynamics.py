@@ -14,7 +14,6 @@ from jaxtissue.dynamics.domain_runs import domain_run
 from jaxtissue.dynamics.independent_sets import independent_rounds
 from jaxtissue.dynamics.surface_moves import propose_moves
 from jaxtissue.energy import in_precision
-from jaxtissue.measurement.quadrature import as_resolution
 from jaxtissue.runs.settings import FORMAT, Settings, saved_settings
 
 EGG = jt.Ellipsoid(apical_axes=[2, 1, 1], basal_axes=[2.5, 1.5, 1.5])
@@ -64,7 +63,7 @@ def run():
     """A run on a domain, with the tissue that it begins with, measured."""
     with jax.enable_x64(True):
         model = in_precision(jt.tube_model(SHEET, CELLS, relative=True), np.dtype(float))
-        made = domain_run(model, as_resolution("draft"), 5, np.full(20, 0.05))
+        made = domain_run(model, "draft", 5, np.full(20, 0.05))
         positions = np.asarray(SHEET.random_positions(jax.random.key(3), CELLS), float)
         yield made, made.survey(positions, Batch()), positions
 

@@ -119,7 +119,7 @@ class Annealer:
         self._last: tuple[Float[np.ndarray, "n d"], Any] | None = None  # the tissue measured last
         self._on_domain: DomainRun | None = None
         if isinstance(model.domain, Domain):
-            self._on_domain = domain_run(self.model, self.resolution, seed, temperatures)
+            self._on_domain = domain_run(self.model, resolution, seed, temperatures)
 
     @usual_modes()
     def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:

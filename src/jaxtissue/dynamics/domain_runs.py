@@ -120,7 +120,9 @@ class DomainRun:
         return abs(first - second) / max(abs(first), abs(second), 1e-300)
 
 
-def domain_run(model: Model, resolution: Resolution, seed: int, temperatures: Float[np.ndarray, "sweeps"]) -> DomainRun:
+def domain_run(
+    model: Model, resolution: Resolution | str, seed: int, temperatures: Float[np.ndarray, "sweeps"]
+) -> DomainRun:
     """A run with a model that has the precision of JAX."""
     layers = plan_layers(section_layers(resolution), check=False)
     if not model.has_surfaces:

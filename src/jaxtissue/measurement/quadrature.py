@@ -15,17 +15,17 @@ from jaxtissue.geometry.tube import Tube
 
 
 class Resolution(NamedTuple):
-    """Density of the quadrature lines on which cells are measured.
+    """Number of layers, and density of the lines in them, on which cells are measured.
 
     In a `Tube`, cells are measured on lines parallel to the axis, arranged in layers (cylinders of constant radius); on
     each line a cell is the interval between two walls. On other domains, cells are measured as polygons on layers of
     constant height, and `density` is not used. Every function with an argument `resolution` accepts a `Resolution`, a
-    tuple (layers, density), a string such as "8x12", or the name of a preset in `PRESETS`: "draft" (4 x 4), "standard"
-    (7 x 8) or "fine" (10 x 10). On domains other than `Tube`, `measure_tissue` and `tissue_energy` use 2, 4 and 8
-    layers for the names of the presets, and `anneal` uses the layers of the preset.
+    tuple (layers, density), a string such as "8x12", or the name of a preset. The presets "draft", "standard" and
+    "fine" mean 4 x 4, 7 x 8 and 10 x 10 in a `Tube` (`PRESETS`), and 2, 4 and 8 layers on other domains. A
+    `Resolution` is used as it is given on every domain.
 
-    On the reference tubes the root-mean-square errors of volume and lateral area, relative to their means, are at most
-    0.5 % and 3 % for "draft", 0.07 % and 1 % for "standard", and 0.05 % and 0.5 % for "fine".
+    On eight reference tubes the root-mean-square errors of volume and lateral area, relative to their means, are at
+    most 0.5 % and 3 % for "draft", 0.07 % and 1 % for "standard", and 0.05 % and 0.5 % for "fine".
 
     Attributes:
         layers: Number of layers between the apical and the basal surface, an integer from 1 to 64.
