@@ -8,8 +8,8 @@ from conftest import read_reference
 
 import jaxtissue as jt
 from jaxtissue.measurement.quadrature import PRESETS, plan_lines, trace_lines
-from jaxtissue.minimization.placed_energy import PlacedEnergy
 from jaxtissue.minimization.relaxation import MINIMIZERS
+from jaxtissue.minimization.tube_energy import TubeEnergy
 
 WITH_GRADIENT = jax.jit(jax.value_and_grad(jt.tissue_energy), static_argnames="resolution")
 TUBE, CELLS = jt.Tube(length=16.0, apical_radius=2.0, basal_radius=5.0), 60
@@ -137,7 +137,7 @@ def test_relaxation_goes_where_sweeps_go_and_below(start, swept, method: str):
 
 
 def test_centroids_are_those_of_points_however_the_tube_is_turned(start):
-    energy = PlacedEnergy(jt.tube_model(TUBE, CELLS), CELLS, PRESETS["draft"])
+    energy = TubeEnergy(jt.tube_model(TUBE, CELLS), CELLS, PRESETS["draft"])
     axial, radius, turn = np.meshgrid(
         (np.arange(80) + 0.5) / 80 * 16, 2 + (np.arange(9) + 0.5) / 3, (np.arange(120) + 0.5) / 120 * 2 * np.pi
     )

@@ -121,8 +121,9 @@ def relax(arguments: dict[str, Any]) -> int:
     use_cores(1)
     folder, force = (arguments.pop(name) for name in ("out", "force"))
     descent = Descent(**{name: arguments.pop(name) for name in ("method", "steps", "tolerance")})
-    if domain := given_domain(arguments):
-        arguments |= {name: getattr(domain, name) for name in TUBE_SIZES}
+    if domain := given_domain(arguments, load_domain):
+        is_tube = isinstance(domain, Tube)
+        arguments |= {s: getattr(domain, s) for s in TUBE_SIZES} if is_tube else {"domain": domain_values(domain)}
     refuse_both(arguments, "minimum_contact")
     need_relative(arguments, arguments | {"temperature": None})
     settings = Settings(**arguments)

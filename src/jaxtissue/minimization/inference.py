@@ -24,7 +24,7 @@ from jaxtissue.measurement.adhesion import Adhesion
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.cells import measure_cells
 from jaxtissue.measurement.quadrature import Resolution, as_resolution, plan_lines
-from jaxtissue.minimization.placed_energy import PlacedEnergy
+from jaxtissue.minimization.tube_energy import TubeEnergy
 from jaxtissue.neighbors.neighbor_list import list_neighbors
 
 SMALL, USUAL, LARGE = 1e-4, 0.01, 0.05  # mean cell widths, by which backbones are displaced: least, at first, most
@@ -80,7 +80,7 @@ class _Forces:
         self._mean, self._type = float(tube.volume) / n, positions.dtype.type
         model = tube_model(tube, n, cell_energy=force_terms, parameters=np.zeros(n), adhesion=adhesion)
         self._model = in_precision(model, positions.dtype)
-        self._energy = PlacedEnergy(self._model, n, resolution)
+        self._energy = TubeEnergy(self._model, n, resolution)
         self._place = positions * self._energy.units
         self.shape, self.width = self._place.shape, self._energy.width
 

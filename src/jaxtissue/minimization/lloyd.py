@@ -12,7 +12,7 @@ from jaxtissue.minimization.placed_energy import ITERATIONS, REACH, RELAXED, Pla
 
 
 def move_to_centroids(
-    positions: Float[np.ndarray, "n 2"], energy: PlacedEnergy, steps: int, tolerance: float
+    positions: Float[np.ndarray, "n d"], energy: PlacedEnergy, steps: int, tolerance: float
 ) -> Iterator[Stage]:
     """The tissue at each check of the lists; relaxed where moves are a part `tolerance` of the first, in the mean."""
     here, first, moved = energy.renewed(positions * energy.units), 0.0, np.inf

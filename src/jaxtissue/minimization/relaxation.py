@@ -10,12 +10,15 @@ from tqdm import tqdm
 
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.energy import Model, check_energy, check_numbers, in_precision
-from jaxtissue.geometry.positions import as_positions, require_tube
-from jaxtissue.measurement.quadrature import Resolution, as_resolution
+from jaxtissue.geometry.domain_positions import as_positions_on
+from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.quadrature import Resolution
+from jaxtissue.minimization.domain_energy import DomainEnergy
 from jaxtissue.minimization.fire import FIRE
 from jaxtissue.minimization.lbfgs import LBFGS, Point
 from jaxtissue.minimization.lloyd import move_to_centroids
 from jaxtissue.minimization.placed_energy import ITERATIONS, REACH, RELAXED, PlacedEnergy, RelaxRecord, Stage
+from jaxtissue.minimization.tube_energy import TubeEnergy
 from jaxtissue.system.frames import as_frame
 
 MINIMIZERS = {"lbfgs": LBFGS, "fire": FIRE}
@@ -30,7 +33,7 @@ class RelaxResult:
     """Result of a relaxation.
 
     Attributes:
-        positions: Relaxed axial position and angle in radians of each backbone, shape [n, 2].
+        positions: Relaxed positions of the backbones, shape [n, d]; in a `Tube` axial position and angle in radians.
         energy: Energy at `positions`, at the resolution of the relaxation.
         history: One `RelaxRecord` for the initial state and one after each step, with fields `step`, `evaluations`,
             `energy`, `gradient` (norm of the gradient) and `seconds`.
@@ -40,7 +43,7 @@ class RelaxResult:
         message: Reason for which the relaxation ended.
     """
 
-    positions: Float[np.ndarray, "n 2"]
+    positions: Float[np.ndarray, "n d"]
     energy: float
     history: list[RelaxRecord]
     converged: bool
@@ -64,7 +67,7 @@ def relax(
     steps: int = 50,
     tolerance: float = 1e-6,
     resolution: Resolution | str = "draft",
-    callback: Callable[[RelaxRecord, Float[np.ndarray, "n 2"]], Any] | None = None,
+    callback: Callable[[RelaxRecord, Float[np.ndarray, "n d"]], Any] | None = None,
 ) -> RelaxResult:
     """Minimize the energy of a tissue by its gradient.
 
@@ -74,12 +77,13 @@ def relax(
 
     Args:
         positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
-            columns `axial` and `angle`.
-        model: Energy model of a `Tube`; see `tube_model`. Other domains are not supported.
+            columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+        model: Energy model of a `Tube` or any other domain; see `tube_model`.
         method: "lbfgs" (the default), a quasi-Newton method with a line search for nonsmooth functions (Lewis and
             Overton 2013); "fire", gradient descent with inertia (Bitzek et al. 2006); or "lloyd", which moves every
             backbone to the centroid of its cell and ignores the energy (Lloyd 1982). A few steps of "lloyd" are a good
-            start for "lbfgs". The centroid is the mean axial position of the cell and its mean direction from the axis.
+            start for "lbfgs". The centroid is the mean axial position of the cell and its mean direction from the axis;
+            on other domains the mean of its local coordinates around the backbone.
         steps: Maximum number of steps, each a block of up to 15 iterations. Defaults to 50. With 0 the energy is only
             evaluated.
         tolerance: Converged if the norm of the gradient falls to this fraction of its initial value; for "lloyd", if
@@ -87,10 +91,10 @@ def relax(
             Greater than 0; defaults to 1e-6.
         resolution: "draft" (the default), "standard" or "fine", or a `Resolution`.
         callback: Function `callback(record, positions)` called for the initial state and after each step, with a
-            `RelaxRecord` and the positions of shape [n, 2]. A true return value ends the relaxation. Defaults to None.
+            `RelaxRecord` and the positions of shape [n, d]. A true return value ends the relaxation. Defaults to None.
 
     Returns:
-        A record with fields `positions` (shape [n, 2]), `energy`, `history` (a list of records with `step`,
+        A record with fields `positions` (shape [n, d]), `energy`, `history` (a list of records with `step`,
         `evaluations`, `energy`, `gradient` and `seconds`), `converged` and `message`, and a method `to_pandas`.
 
     Raises:
@@ -111,12 +115,11 @@ def relax(
         raise ValueError(f"unknown method {method!r}; use one of {', '.join(METHODS)}")
     if steps < 0 or not tolerance > 0:
         raise ValueError(f"steps={steps}, tolerance={tolerance}: give at least 0 steps and a tolerance above 0")
-    require_tube(model.domain)
-    start = np.asarray(as_positions(positions, model.tube))
+    start = np.asarray(as_positions_on(positions, model.domain))
     check_numbers(model, len(start))
     check_energy(model)
     model = in_precision(model, start.dtype)
-    energy = PlacedEnergy(model, len(start), as_resolution(resolution))
+    energy = (TubeEnergy if isinstance(model.domain, Tube) else DomainEnergy)(model, len(start), resolution)
     if method == "lloyd":
         stages = move_to_centroids(start, energy, steps, tolerance)
     else:
@@ -135,7 +138,7 @@ def relax(
 
 
 def _descend(
-    positions: Float[np.ndarray, "n 2"], energy: PlacedEnergy, minimizer: LBFGS | FIRE, steps: int, tolerance: float
+    positions: Float[np.ndarray, "n d"], energy: PlacedEnergy, minimizer: LBFGS | FIRE, steps: int, tolerance: float
 ) -> Iterator[Stage]:
     """The tissue at each check of the lists, down the gradient."""
     longest = REACH * energy.width

@@ -23,6 +23,7 @@ from jaxtissue.measurement.smooth_sizes import find_windows, smooth_sizes
 from jaxtissue.neighbors.section_neighbors import SectionNeighbors
 from jaxtissue.sections.cells import RULE, Layers, cell_sections, cell_sizes, plan_layers
 from jaxtissue.sections.half_planes import take
+from jaxtissue.sections.smooth_sections import smooth_sections
 
 HALF = 0.5  # of a cell, by which the mean volume may differ from that of a domain whose sizes are varied
 
@@ -96,7 +97,10 @@ def energy_on_sections(
     assert isinstance(domain, Domain)
     heights = jnp.asarray(layers.heights, positions.dtype)
     rule = RULE._replace(slots=neighbors.slots)
-    sections = cell_sections(domain, positions, lists, heights, rule)
+    if positions.ndim == 2:
+        sections = smooth_sections(positions, domain, lists, heights, rule)
+    else:
+        sections = cell_sections(domain, positions, lists, heights, rule)
     if model.adhesion is not None:
         worth = model.adhesion.between(jnp.arange(lists.shape[1]), lists % lists.shape[1])[:, None]
         sections = sections._replace(wall=sections.wall * take(worth, jnp.minimum(sections.line, len(lists) - 1)))

@@ -39,8 +39,13 @@ def _measure(
     return sections, cell_sizes(domain, sections, layers, lists.shape[0]), (jnp.stack(points, axis=-1), is_point)
 
 
+def crowd_of(domain: Domain, positions: np.ndarray) -> Crowd:
+    """All backbones and their copies."""
+    return Crowd(_segments(domain, positions), len(positions))
+
+
 @jax.jit
-def _crowd(domain: Domain, positions: Array) -> Any:
+def _segments(domain: Domain, positions: Array) -> Any:
     if positions.ndim == 2:
         return gather_crowd(domain, components(positions)).segments
     return gather_bent(domain, as_nodes(positions, domain)).segments
@@ -48,7 +53,7 @@ def _crowd(domain: Domain, positions: Array) -> Any:
 
 def find_sections(domain: Domain, positions: np.ndarray, layers: Layers, rule: Rule = RULE) -> Measured:
     """Measure sections on lists that grow until no corner of a cell is nearer to a backbone that is not listed."""
-    lists, rounds = first_lists(Crowd(_crowd(domain, positions), len(positions))), 0
+    lists, rounds = first_lists(crowd_of(domain, positions)), 0
     while True:
         rounds += 1
         found, pairs = look_through(domain, positions, lists, layers, rule)
@@ -74,6 +79,6 @@ def look_through(
     shown = sorted({0, count // 3, count - 2, count - 1}) if positions.ndim == 2 else list(range(count))
     is_point = np.asarray(is_point)[:, :, shown]
     cells = np.broadcast_to(np.arange(n), is_point.shape)[is_point]
-    crowd = Crowd(_crowd(domain, positions), n)
+    crowd = crowd_of(domain, positions)
     pairs, unproved = missing(crowd, lists, np.asarray(points, float)[:, :, shown][is_point], cells)
     return Measured(positions, lists, layers, sections, sizes, unproved, rule), pairs

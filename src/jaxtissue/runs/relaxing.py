@@ -11,10 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtissue.exports.tissue_record import TissueRecord
+from jaxtissue.geometry.domain_positions import column_names
+from jaxtissue.geometry.tube import Tube
 from jaxtissue.minimization.relaxation import RelaxRecord, RelaxResult, relax
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import BackboneTable
-from jaxtissue.runs.reports import contact_summary, tabulate_cells, write_contacts
+from jaxtissue.runs.pages import write_page
+from jaxtissue.runs.reports import contact_summary, contacts_of_run, tabulate_cells, write_contacts
 from jaxtissue.runs.run_files import RESULTS, initial_backbones, say
 from jaxtissue.runs.run_folders import CELLS, DOMAIN, FIGURES, FILES, INITIAL, MANIFEST, STEPS, SUMMARY, save_tissue
 from jaxtissue.runs.settings import FORMAT, Settings, now, provenance
@@ -22,7 +25,6 @@ from jaxtissue.system.files import check_folder, checksum, make_folder, open_own
 from jaxtissue.system.locks import alone
 from jaxtissue.system.signals import Stop
 from jaxtissue.tissue.measurer import measure_tissue
-from jaxtissue.topology.statistics import find_connectivity
 
 OF_ANNEALING = ("sweeps", "temperature", "final_temperature", "algorithm", "patience")  # settings of no meaning here
 
@@ -70,10 +72,10 @@ def run_relaxation(folder: Path, settings: Settings, descent: Descent, force: bo
         check_folder(folder, force)
         make_folder(folder, FILES)
         started = provenance()
-        storage.write_backbones(folder / INITIAL, initial, names)
+        storage.write_backbones(folder / INITIAL, initial, names, column_names(settings.place))
         say(f"relaxing {len(initial)} cells in {folder}")
         with open_own(folder / STEPS, "w") as table:
-            watch = _Watch(folder, table, names, settings.tube, stop)
+            watch = _Watch(folder, table, names, settings.place, stop)
             result = relax(initial, model, descent.method, descent.steps, descent.tolerance, settings.resolution, watch)
             os.fsync(table.fileno())
         arguments = {name: value for name, value in asdict(settings).items() if name not in OF_ANNEALING}
@@ -101,21 +103,22 @@ def _finish(
 
     say("measuring and drawing" if settings.no_contacts else "measuring, tracing contacts, drawing")
     model, place, connectivity = settings.model, result.positions, None
+    domain = model.domain
     if not settings.no_contacts:
-        connectivity = find_connectivity(place, settings.tube, settings.minimum_contact)
+        connectivity = contacts_of_run(place, domain, settings.minimum_contact)
     columns, summary = tabulate_cells(place, model, settings.resolution, names, connectivity)
     storage.write_table(folder / CELLS, columns)
     if connectivity is not None:
         write_contacts(folder, connectivity)
         summary |= contact_summary(connectivity)
     write_json(folder / SUMMARY, summary)
-    before = np.asarray(measure_tissue(initial, settings.tube, settings.resolution, refine=False).volume)
+    before = np.asarray(measure_tissue(initial, domain, settings.resolution, refine=False).volume)
     volumes, last = [before, columns["volume"]], result.history[-1]
     tissues = [Tissue("before", initial, before), Tissue("relaxed", place, columns["volume"])]
     figures = (
         partial(plot_relaxation, result.history),
         partial(plot_volumes, ["before", "relaxed"], volumes, float(model.mean_volume)),
-        partial(plot_surfaces, model.tube, tissues),
+        partial(plot_surfaces, domain, tissues),
     )
     for name, draw in zip(FIGURES, figures, strict=True):
         save_figure(folder / name, draw)
@@ -135,5 +138,8 @@ def _finish(
         if name in summary:
             print(f"{name:17}{summary[name]:.6g}")
     print(f"written to       {folder}")
-    tissue = TissueRecord(np.asarray(place, float), model.tube, names, traced=connectivity)
-    leave_pictures(tissue, folder, settings.no_contacts)
+    if isinstance(domain, Tube):
+        tissue = TissueRecord(np.asarray(place, float), domain, names, traced=connectivity)
+        leave_pictures(tissue, folder, settings.no_contacts)
+    else:
+        write_page(folder)

@@ -14,7 +14,7 @@ from jaxtissue.geometry.nodes import as_nodes, on_layers
 from jaxtissue.geometry.vectors import Vector, components
 from jaxtissue.sections.crowd import gather_bent, gather_crowd
 from jaxtissue.sections.polygons import Rule, Sections, measure_sections
-from jaxtissue.sections.views import look
+from jaxtissue.sections.views import View, look
 
 RULE = Rule(slots=14, passes=3, steps=1, rays=2)
 MANY_SLOTS = 31  # as many edges as five bits can number
@@ -69,22 +69,20 @@ def plan_layers(count: int, check: bool = True) -> Layers:
     return Layers(np.concatenate([*heights, [0.0, 1.0]]), table)
 
 
-def cell_sections(
+def cell_view(
     domain: Domain,
     positions: Float[Array, "n d"] | Float[Array, "n k d"],
     lists: Int[Array, "q cells"],
     heights: Float[Array, " layers"],
-    rule: Rule,
     cells: Int[Array, " cells"] | None = None,
-) -> Sections:
-    """The sections of all cells, or of some, on layers.
+) -> View:
+    """All cells, or some, as seen on layers.
 
     Args:
         domain: The tissue.
         positions: The positions of all backbones, [n, d], or of their nodes, as `geometry.nodes` has them.
         lists: The candidates of each cell that is measured, as numbers in the crowd, -1 for none.
         heights: The heights of the layers.
-        rule: How a section is measured.
         cells: The numbers of the cells that are measured; all if None.
     """
     positions = jnp.asarray(positions)
@@ -102,8 +100,19 @@ def cell_sections(
     own = jax.tree.map(some, crowd.segments)
     rivals = jax.tree.map(lambda table: take_rows(table, lists), crowd.segments)
     # a candidate that is not there stands apart, lest it be the cell itself
-    view = look(domain, centers, heights, own, rivals, lists >= 0)
-    return measure_sections(domain, view, rule)
+    return look(domain, centers, heights, own, rivals, lists >= 0)
+
+
+def cell_sections(
+    domain: Domain,
+    positions: Float[Array, "n d"] | Float[Array, "n k d"],
+    lists: Int[Array, "q cells"],
+    heights: Float[Array, " layers"],
+    rule: Rule,
+    cells: Int[Array, " cells"] | None = None,
+) -> Sections:
+    """The sections of all cells, or of some, as seen by `cell_view`; the rule says how they are measured."""
+    return measure_sections(domain, cell_view(domain, positions, lists, heights, cells), rule)
 
 
 def cell_sizes(domain: Domain, sections: Sections, layers: Layers, candidates: int) -> CellSizes:

@@ -94,6 +94,7 @@ class Polygon(NamedTuple):
     rough: Vector  # `end`, before it was moved onto the walls
     planes: HalfPlanes  # all lines, [lines, *T]
     exists: Bool[Array, "lines *T"]
+    before: Int[Array, "slots *T"]
 
 
 def measure_sections(domain: Domain, view: View, rule: Rule) -> Sections:
@@ -108,19 +109,19 @@ def measure_polygons(domain: Domain, view: View, rule: Rule, polygon: Polygon) -
     packed, edge, start, end, after, spare, *_ = polygon
     chord, middle = subtract(end, start), scale(0.5, add(start, end))
     for _ in range(rule.steps):
-        middle = fusion_barrier(lambda z=middle: add(z, _to_wall(domain, view, z, edge, chord)), anchor)
+        middle = fusion_barrier(lambda z=middle: add(z, to_wall(domain, view, z, edge, chord)), anchor)
     span = dot(chord, turned(edge.plane.normal))
     is_edge = packed.is_edge & (span > 0)
-    curve = _joined(start, middle, end)
-    found = fusion_barrier(lambda: _integrands(domain, view, curve, _joined(edge, edge, edge)), anchor)
+    curve = joined(start, middle, end)
+    found = fusion_barrier(lambda: integrands(domain, view, curve, joined(edge, edge, edge)), anchor)
     wall, length = (
         jnp.where(
-            is_edge & edge.is_wall, span * sum(s * part for s, part in zip(SIMPSON, _parts(size, 3), strict=True)), 0
+            is_edge & edge.is_wall, span * sum(s * part for s, part in zip(SIMPSON, parts(size, 3), strict=True)), 0
         )
         for size in found[:2]
     )
     filled = fusion_barrier(lambda: _fill(domain, view, curve, is_edge, found[2], rule.rays), anchor)
-    _, at_middle, at_end = _parts(found[3], 3)
+    _, at_middle, at_end = parts(found[3], 3)
     return Sections(packed.line, after, is_edge, wall, length, *filled, at_end, at_middle, spare)
 
 
@@ -134,7 +135,7 @@ def find_polygons(domain: Domain, view: View, rule: Rule) -> Polygon:
     flat = view.frame(domain, (jnp.zeros((1, *view.height.shape), view.height.dtype),) * 2)
     first = fusion_barrier(lambda: first_places(view, flat), anchor)
     planes = fusion_barrier(lambda: lines_at(domain, view, first), anchor)
-    planes = _joined(planes, *limits)
+    planes = joined(planes, *limits)
 
     def more(carry: tuple[HalfPlanes, Polygon], is_first: Array) -> tuple[tuple[HalfPlanes, Polygon], Polygon]:
         planes = jax.lax.cond(is_first, lambda: carry[0], lambda: _refined(domain, view, *carry))
@@ -153,14 +154,14 @@ def _cut_out(domain: Domain, view: View, planes: HalfPlanes, rule: Rule) -> Poly
     cuts = cut(planes, anchor)
     packed = fusion_barrier(lambda: pack(cuts.exists, rule.slots), anchor)
     before, after = fusion_barrier(lambda: take((cuts.before, cuts.after), packed.line), anchor)
-    edge = _edges(planes, view, packed.line, anchor)
-    twice, others = _joined(edge, edge), _edges(planes, view, jnp.concatenate([before, after]), anchor)
+    edge = edges_of(planes, view, packed.line, anchor)
+    twice, others = joined(edge, edge), edges_of(planes, view, jnp.concatenate([before, after]), anchor)
     rough = corners = fusion_barrier(lambda: crossing(twice.plane, others.plane, 1e-5), anchor)
     for _ in range(rule.steps):
         corners = fusion_barrier(lambda z=corners: add(z, _to_corner(domain, view, z, twice, others)), anchor)
-    start, end = _parts(corners, 2)
+    start, end = parts(corners, 2)
     spare = jnp.sum(cuts.exists, axis=0) - rule.slots
-    return Polygon(packed, edge, start, end, after, spare, _parts(rough, 2)[1], planes, cuts.exists)
+    return Polygon(packed, edge, start, end, after, spare, parts(rough, 2)[1], planes, cuts.exists, before)
 
 
 def _refined(domain: Domain, view: View, planes: HalfPlanes, polygon: Polygon) -> HalfPlanes:
@@ -187,7 +188,7 @@ def _refined(domain: Domain, view: View, planes: HalfPlanes, polygon: Polygon) -
         lines = HalfPlanes(normal, dot(normal, start))
         return jax.tree.map(lambda line, plain: jnp.where(is_chord, line, plain), lines, fresh)
 
-    return _joined(fusion_barrier(with_chords, anchor), limits)
+    return joined(fusion_barrier(with_chords, anchor), limits)
 
 
 def lines_at(domain: Domain, view: View, z: Vector) -> HalfPlanes:
@@ -195,17 +196,18 @@ def lines_at(domain: Domain, view: View, z: Vector) -> HalfPlanes:
     return as_half_planes(gap(view.frame(domain, z), view.own, view.rivals), z, view.is_there)
 
 
-def _joined(*tables: Any) -> Any:
+def joined(*tables: Any) -> Any:
     """Tables put one after the other along the slots: what is done to them is compiled once."""
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *tables)
 
 
-def _parts(tables: Any, count: int) -> list[Any]:
-    """What `_joined` has joined."""
+def parts(tables: Any, count: int) -> list[Any]:
+    """What `joined` has joined."""
     return [jax.tree.map(lambda table, k=k: jnp.split(table, count)[k], tables) for k in range(count)]
 
 
-def _edges(planes: HalfPlanes, view: View, number: Int[Array, "slots *T"], anchor: Array) -> Edges:
+def edges_of(planes: HalfPlanes, view: View, number: Int[Array, "slots *T"], anchor: Array) -> Edges:
+    """The edges that lie on lines of the given numbers."""
     candidates = view.is_there.shape[0]
 
     def gather() -> tuple[HalfPlanes, Backbones]:
@@ -214,7 +216,7 @@ def _edges(planes: HalfPlanes, view: View, number: Int[Array, "slots *T"], ancho
     return Edges(*fusion_barrier(gather, anchor), number < candidates)
 
 
-def _distance(flat: Frame, view: View, z: Vector, edge: Edges) -> tuple[Vector, Array]:
+def distance_to_wall(flat: Frame, view: View, z: Vector, edge: Edges) -> tuple[Vector, Array]:
     """The unit normal of the wall, and how far the point is inside of it, to first order."""
     found = gap(flat, view.own, edge.rivals)
     square = dot(found.slope, found.slope)
@@ -227,8 +229,8 @@ def _distance(flat: Frame, view: View, z: Vector, edge: Edges) -> tuple[Vector, 
 def _to_corner(domain: Domain, view: View, z: Vector, edge: Edges, other: Edges) -> Vector:
     """One step of Newton's method to the corner of two walls; none where they are nearly parallel, and none too far."""
     flat = view.frame(domain, z)
-    (a, b), inside = _distance(flat, view, z, edge)
-    (c, d), other_inside = _distance(flat, view, z, other)
+    (a, b), inside = distance_to_wall(flat, view, z, edge)
+    (c, d), other_inside = distance_to_wall(flat, view, z, other)
     sine = a * d - b * c
     sharp = jnp.abs(sine) > SHARP
     share = jnp.where(sharp, 1 / jnp.where(sharp, sine, 1), 0)
@@ -236,9 +238,9 @@ def _to_corner(domain: Domain, view: View, z: Vector, edge: Edges, other: Edges)
     return _within(step, scale(STRIDE, z))
 
 
-def _to_wall(domain: Domain, view: View, z: Vector, edge: Edges, chord: Vector) -> Vector:
+def to_wall(domain: Domain, view: View, z: Vector, edge: Edges, chord: Vector) -> Vector:
     """One step along the edge's normal to its wall."""
-    normal, inside = _distance(view.frame(domain, z), view, z, edge)
+    normal, inside = distance_to_wall(view.frame(domain, z), view, z, edge)
     cosine = dot(normal, edge.plane.normal)
     step = scale(jnp.where(edge.is_wall, inside / jnp.maximum(cosine, STEEP), 0), edge.plane.normal)
     return _within(step, scale(STRIDE, chord))
@@ -252,7 +254,7 @@ def _within(step: Vector, bound: Vector) -> Vector:
     return scale(jnp.where(long, share, 1), step)
 
 
-def _integrands(domain: Domain, view: View, z: Vector, edge: Edges) -> tuple[Array, Array, tuple[Array, Array], Vector]:
+def integrands(domain: Domain, view: View, z: Vector, edge: Edges) -> tuple[Array, Array, tuple[Array, Array], Vector]:
     """Per step along the edge's line, wall area per height and length; volume and area elements; the point.
 
     The wall is a level set of g: its area is |grad g| |det dF| / |dg/dz| per length in z and per height.
@@ -276,12 +278,12 @@ def _fill(
     domain: Domain, view: View, curve: Vector, is_edge: Array, rim: tuple[Array, Array], rays: int
 ) -> tuple[Array, Array]:
     """The integrals of the volume and area elements over the sections, each a sum over cones from the backbone."""
-    start, middle, end = _parts(curve, 3)
+    start, middle, end = parts(curve, 3)
     whole = area(start, end)
     swept = (4 * area(start, middle) - whole, area(middle, subtract(end, start)), 4 * area(middle, end) - whole)
     sweep = jnp.concatenate([jnp.where(is_edge, s * part, 0) for s, part in zip(SIMPSON, swept, strict=True)])
     nodes, weights, last = RAYS[rays]
-    inner = _joined(*(scale(node, curve) for node in nodes))
+    inner = joined(*(scale(node, curve) for node in nodes))
     factor = jnp.repeat(jnp.asarray(weights, sweep.dtype), sweep.shape[0]).reshape(-1, 1, 1)
     sizes = zip(view.frame(domain, inner).elements(), rim, strict=True)
     volume, level = (

@@ -1,0 +1,216 @@
+"""How the sections of cells change as backbones move, from the speeds of their walls.
+
+A section lies still in its chart, and its walls move: where g = d_j^2 - d_i^2 changes by g' at a point, the wall there
+moves by g' / |grad g|. A cell gains the volume that its walls sweep. The area of a wall gains what its integrand gains
+at points that move with the wall, and what corners that slide along it add at its ends.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from jaxtissue.compilation.fusion import fusion_barrier, take_rows
+from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.vectors import Vector, add, dot, scale, subtract, turned
+from jaxtissue.sections.half_planes import take
+from jaxtissue.sections.polygons import SIMPSON, STEEP, Edges, Polygon, edges_of, integrands, joined, parts, to_wall
+from jaxtissue.sections.views import LEAST_SLOPE, Segments, View, gap
+
+BLUNT = 0.03  # the sine of the angle of two walls below which their corner slides less than it should
+
+Slopes = tuple[Array, ...]  # by each coordinate of a backbone, [slots, *T]
+
+
+class Speeds(NamedTuple):
+    """How sections change with the coordinates of the backbones that bound them: own, across, before and after an edge.
+
+    Attributes:
+        wall: Of the area of each wall per height; by all four.
+        length: Of the length of each edge; by all four.
+        volume: Of the volume per height, at each edge; by the first two.
+        area: Of the area of the section, at each edge; by the first two.
+        across: The numbers of the backbones across each edge, [slots, *T].
+        before: Those across the edge before it.
+        after: Those across the edge after it.
+    """
+
+    wall: tuple[Slopes, ...]
+    length: tuple[Slopes, ...]
+    volume: tuple[Slopes, ...]
+    area: tuple[Slopes, ...]
+    across: Int[Array, "slots *T"]
+    before: Int[Array, "slots *T"]
+    after: Int[Array, "slots *T"]
+
+
+class Motion(NamedTuple):
+    """How the ends of backbones move with one coordinate."""
+
+    apical: Vector
+    basal: Vector
+
+    def of(self, number: Int[Array, "..."]) -> "Motion":
+        """Those of some backbones."""
+        return jax.tree.map(lambda part: take_rows(part, number), self)
+
+
+def wall_speeds(domain: Domain, view: View, polygon: Polygon, lists: Int[Array, "q n"], place: Vector) -> Speeds:
+    """The speeds of sections whose polygons are known, on the lists of the cells, with all backbones at `place`."""
+    anchor, edge, candidates = view.anchor, polygon.edge, view.is_there.shape[0]
+    owners = (jnp.maximum(lists, 0) % place[0].shape[0])[:, None]
+    lines = (polygon.packed.line, polygon.before, polygon.after)
+    across, before, after = (take(owners, jnp.minimum(line, candidates - 1)) for line in lines)
+    motions = _motions(domain, place)
+    own = [jax.tree.map(lambda part: part[None, None], motion) for motion in motions]
+    theirs, others = (
+        [fusion_barrier(lambda motion=motion, number=number: motion.of(number), anchor) for motion in motions]
+        for number in (across, jnp.concatenate([before, after]))
+    )
+    start, end = polygon.start, polygon.end
+    chord, middle = subtract(end, start), scale(0.5, add(start, end))
+    middle = fusion_barrier(lambda: add(middle, to_wall(domain, view, middle, edge, chord)), anchor)
+    span = dot(chord, turned(edge.plane.normal))
+    span = jnp.where(polygon.packed.is_edge & edge.is_wall & (span > 0), span, 0)
+    curve, thrice = joined(start, middle, end), joined(edge, edge, edge)
+    sides = fusion_barrier(
+        lambda: _advances(domain, view, curve, thrice, own, [joined(*[m] * 3) for m in theirs]), anchor
+    )
+    sizes = fusion_barrier(lambda: integrands(domain, view, curve, thrice)[:3], anchor)
+    grown = _growths(domain, view, curve, thrice, (own, theirs), sides)
+    beside = edges_of(polygon.planes, view, jnp.concatenate([polygon.before, polygon.after]), anchor)
+    twice, twice_theirs = joined(edge, edge), [joined(m, m) for m in theirs]
+    slides = fusion_barrier(
+        lambda: _slides(domain, view, joined(start, end), (twice, beside), (own, twice_theirs, others)), anchor
+    )
+
+    def by_wall(size: Array, growth: list[list[Array]]) -> tuple[Slopes, ...]:
+        first, _, last = parts(size, 3)
+        ends = [[parts(slide, 2) for slide in by] for by in slides]
+        full = [
+            tuple(span * rate + jnp.where(span > 0, last * b - first * a, 0) for rate, (a, b) in zip(*by, strict=True))
+            for by in zip(growth, ends[:2], strict=True)
+        ]
+        before = tuple(jnp.where(span > 0, -first * a, 0) for a, _ in ends[2])
+        after = tuple(jnp.where(span > 0, last * b, 0) for _, b in ends[2])
+        return (*full, before, after)
+
+    def swept(element: Array) -> tuple[Slopes, ...]:
+        return tuple(tuple(span * _simpson(jnp.abs(element) * side) for side in by) for by in sides)
+
+    wall, length = (by_wall(size, [[rate[k] for rate in by] for by in grown]) for k, size in enumerate(sizes[:2]))
+    return Speeds(wall, length, swept(sizes[2][0]), swept(sizes[2][1]), across, before, after)
+
+
+def _motions(domain: Domain, place: Vector) -> list[Motion]:
+    """How the ends of all backbones move with each coordinate."""
+    found = []
+    for k in range(len(place)):
+        way = tuple(jnp.ones_like(part) if k == j else jnp.zeros_like(part) for j, part in enumerate(place))
+        found.append(Motion(*jax.jvp(domain.surfaces, (place,), (way,))[1]))
+    return found
+
+
+def _simpson(size: Array) -> Array:
+    """The mean over an edge."""
+    first, second, third = parts(size, 3)
+    return SIMPSON[0] * first + SIMPSON[1] * second + SIMPSON[2] * third
+
+
+def _closer(segments: Segments, motion: Motion, point: Vector) -> Array:
+    """By how much the square of the distance to moving backbones falls."""
+    way = subtract(point, segments.start)
+    share = jnp.clip(dot(way, segments.along) / dot(segments.along, segments.along), 0, 1)
+    offset = subtract(way, scale(share, segments.along))
+    return 2 * dot(offset, add(scale(1 - share, motion.apical), scale(share, motion.basal)))
+
+
+class _Wall(NamedTuple):
+    """A wall at a point: its outward normal, 1 / |grad g|, 0 where it is none, and the point."""
+
+    normal: Vector
+    share: Array
+    point: Vector
+
+
+def _wall_at(domain: Domain, view: View, z: Vector, edge: Edges) -> _Wall:
+    flat = view.frame(domain, z)
+    found = gap(flat, view.own, edge.rivals)
+    square = dot(found.slope, found.slope)
+    fit = edge.is_wall & (square > LEAST_SLOPE**2 * dot(found.pull, found.pull))
+    steep = jnp.sqrt(jnp.where(fit, square, 1))
+    x, y = (jnp.where(fit, -slope / steep, flat) for slope, flat in zip(found.slope, edge.plane.normal, strict=True))
+    return _Wall((x, y), jnp.where(fit, 1 / steep, 0), flat.point)
+
+
+def _advances(
+    domain: Domain, view: View, z: Vector, edge: Edges, own: list[Motion], theirs: list[Motion]
+) -> list[list[Array]]:
+    """How far walls move along the normals of their lines, by own coordinates and by those across."""
+    wall = _wall_at(domain, view, z, edge)
+    share = wall.share / jnp.maximum(dot(wall.normal, edge.plane.normal), STEEP)
+    return [
+        [sign * share * _closer(segments, motion, wall.point) for motion in by]
+        for sign, segments, by in ((1, view.own, own), (-1, edge.rivals, theirs))
+    ]
+
+
+def _growths(
+    domain: Domain,
+    view: View,
+    z: Vector,
+    edge: Edges,
+    motions: tuple[list[Motion], list[Motion]],
+    sides: list[list[Array]],
+) -> list[list[tuple[Array, Array]]]:
+    """How the wall's area and the edge's length grow, in the mean over the edge, at points that move with the wall.
+
+    One direction after the other, in a loop: so it is compiled once.
+    """
+    own, theirs = ([Segments(m.apical, subtract(m.basal, m.apical)) for m in by] for by in motions)
+    none = tuple(jax.tree.map(jnp.zeros_like, by[0]) for by in (own, theirs))
+    ways = [(segments, none[1]) for segments in own] + [(none[0], segments) for segments in theirs]
+    stacked = jax.tree.map(lambda *tables: jnp.stack(tables), *ways)
+
+    def sizes(segments: Segments, rivals: Segments, z: Vector) -> tuple[Array, Array]:
+        return integrands(domain, view._replace(own=segments), z, edge._replace(rivals=rivals))[:2]
+
+    def turn(_: None, way: tuple[tuple[Segments, Segments], Array]) -> tuple[None, Array]:
+        (mine, across), side = way
+        tangents = (mine, joined(across, across, across), scale(side, edge.plane.normal))
+
+        def rate() -> Array:
+            wall, length = jax.jvp(sizes, (view.own, edge.rivals, z), tangents)[1]
+            return jax.lax.complex(wall, length)
+
+        return None, _simpson(fusion_barrier(rate, view.anchor))
+
+    _, found = jax.lax.scan(turn, None, (stacked, jnp.stack([*sides[0], *sides[1]])))
+    rates = [(rate.real, rate.imag) for rate in found]
+    return [rates[: len(own)], rates[len(own) :]]
+
+
+def _slides(
+    domain: Domain, view: View, z: Vector, edges: tuple[Edges, Edges], motions: tuple[list[Motion], ...]
+) -> list[list[Array]]:
+    """How far corners of two walls slide along the first, by own coordinates, those across, and those of the other."""
+    wall, other = (_wall_at(domain, view, z, edge) for edge in edges)
+    normal = edges[0].plane.normal
+    sine, cosine = dot(other.normal, turned(wall.normal)), dot(other.normal, wall.normal)
+    sharp = sine / jnp.maximum(sine**2, BLUNT**2)
+    along, lean = dot(turned(wall.normal), turned(normal)), dot(wall.normal, turned(normal))
+
+    def slide(advance: Array, others: Array) -> Array:
+        """Of a corner whose walls move along their normals."""
+        return sharp * along * (others - cosine * advance) + lean * advance
+
+    own, theirs, others = motions
+    mine = [_closer(view.own, motion, wall.point) for motion in own]
+    across = [-_closer(edges[0].rivals, motion, wall.point) for motion in theirs]
+    beside = [-_closer(edges[1].rivals, motion, wall.point) for motion in others]
+    return [
+        [slide(wall.share * rate, other.share * rate) for rate in mine],
+        [slide(wall.share * rate, jnp.zeros_like(rate)) for rate in across],
+        [slide(jnp.zeros_like(rate), other.share * rate) for rate in beside],
+    ]

@@ -1,0 +1,81 @@
+"""Relaxation on domains other than tubes: down to a minimum, however the tissue is turned, across periods."""
+
+import jax
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import jaxtissue as jt
+from jaxtissue.cli.commands import main
+from jaxtissue.geometry.domain_files import save_domain
+from jaxtissue.minimization.domain_energy import DomainEnergy
+from jaxtissue.neighbors import moving_lists
+from jaxtissue.neighbors.moving_lists import MovingLists
+
+pytestmark = pytest.mark.usefixtures("quickest_compile")
+CYST, CELLS = jt.Sphere(2.0, 2.5), 60
+
+
+def test_a_cyst_relaxes_however_it_is_turned(x64):
+    """All in one: each program takes seconds to compile."""
+    start = np.asarray(CYST.random_positions(jax.random.key(0), CELLS), float)
+    model, heard = jt.tube_model(CYST, CELLS, modulus=100.0), []  # volumes count most
+    first = jt.relax(start, model, steps=3, callback=lambda record, place: heard.append(place))
+    energies = [record.energy for record in first.history]
+    assert first.energy < 0.7 * energies[0] and energies == sorted(energies, reverse=True)
+    assert first.history[-1].gradient < 0.2 * first.history[0].gradient
+    np.testing.assert_allclose(np.linalg.norm(first.positions, axis=1), 1, atol=1e-12)
+    again = jt.relax(heard[-1], model, steps=0)  # lists made anew, as a relaxation goes on from its file
+    assert again.energy == pytest.approx(first.energy, rel=1e-9)
+    turned = jt.relax(start @ Rotation.from_euler("xyz", (1.0, 2.0, 3.0)).as_matrix(), model, steps=0).history[0]
+    assert turned.energy == pytest.approx(energies[0], rel=1e-6)
+    assert turned.gradient == pytest.approx(first.history[0].gradient, rel=1e-3)
+    quick = jt.relax(start, model, "lloyd", steps=1)
+    assert quick.energy < 0.8 * energies[0]
+    energy = DomainEnergy(model, CELLS, "draft")
+    place, step = start * energy.units, 1e-5
+    here, way = energy.renewed(place), np.random.default_rng(0).normal(size=place.shape)
+    expected = (energy(place + step * way).energy - energy(place - step * way).energy) / (2 * step)
+    # walls' speeds are those of true walls, energies those of two layers
+    assert (here.gradient * way).sum() == pytest.approx(expected, abs=0.1 * np.linalg.norm(here.gradient))
+    assert np.abs((here.gradient * place).sum(axis=1)).max() < 1e-9 * np.abs(here.gradient).max()  # length is nothing
+
+
+def test_lists_go_along_across_periods(monkeypatch):
+    """What is on a list stays where it was, in a tissue that has gone on by more than a period."""
+    slab, n = jt.Slab(8.0, 6.0, 1.0, periodic=(True, False)), 20
+    place = np.asarray(slab.random_positions(jax.random.key(1), n), float)
+    lists = np.random.default_rng(0).integers(0, n, (5, n))
+
+    monkeypatch.setattr(moving_lists, "find_sections", lambda *_: type("Found", (), {"lists": lists}))
+    monkeypatch.setattr(moving_lists, "clearances", lambda *_: (np.zeros(lists.shape), 1.0))
+    looked = []
+
+    def look(domain, positions, lists, *_):
+        looked.append((positions, lists[:5]))
+        return type("Found", (), {"rule": None}), []
+
+    monkeypatch.setattr(moving_lists, "look_through", look)
+    moving = MovingLists(slab, place)
+    for gone in (3.0, -9.0):
+        moving.renew(place + np.array([gone, 0.0]))
+    copies = slab.base.images()
+    ways = []
+    for positions, numbers in looked:
+        copy, owner = np.divmod(numbers, n)
+        way = positions[owner] + copies[copy] * [8, 6] - positions
+        ways.append(np.where((numbers >= 0)[..., None], way, np.nan))
+    assert (looked[2][0][:, 0] >= 0).all() and (looked[2][0][:, 0] <= 8).all()
+    for way in ways[1:]:
+        known = ~np.isnan(way[..., 0])
+        assert known.mean() > 0.9
+        np.testing.assert_allclose(way[known], ways[0][known], atol=1e-5)  # float32
+
+
+def test_the_command_takes_a_domain(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr("jaxtissue.runs.relaxing.run_relaxation", lambda *given: asked.append(given) or 0)
+    save_domain(CYST, tmp_path / "domain.json")
+    assert main(["relax", "--domain", str(tmp_path / "domain.json"), "--cells", "60", "--out", str(tmp_path)]) == 0
+    (_, settings, descent, _) = asked[0]
+    assert settings.place == CYST and settings.cells == 60 and descent.method == "lbfgs"
