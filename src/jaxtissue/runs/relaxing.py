@@ -128,18 +128,25 @@ def _finish(
     files = {name: checksum(folder / name) for name in (*RESULTS, STEPS, DOMAIN) if (folder / name).is_file()}
     manifest = dict(manifest) | {"energy": energy, "final": end | summary, "finished": now(), "files": files}
     write_sealed(folder / MANIFEST, manifest)
-    print(f"cells            {len(place)}")
-    print(f"steps            {last.step}, {last.evaluations} evaluations in {last.seconds:.3g} s")
-    print(f"ended            {result.message}")
-    print(f"{f'energy, {settings.resolution}':17}{energy['initial']:.6g} -> {energy['final']:.6g}")
-    print(f"{'energy, measured':17}{energy['final_measured']:.6g}")
-    print(f"{'gradient':17}{result.history[0].gradient:.3g} -> {last.gradient:.3g}")
-    for name in ("tightness", "neighbors", "transitions", "scutoid_fraction"):
-        if name in summary:
-            print(f"{name:17}{summary[name]:.6g}")
+    _print_result(settings, result, energy, summary)
     print(f"written to       {folder}")
     if isinstance(domain, Tube):
         tissue = TissueRecord(np.asarray(place, float), domain, names, traced=connectivity)
         leave_pictures(tissue, folder, settings.no_contacts)
     else:
         write_page(folder)
+
+
+def _print_result(
+    settings: Settings, result: RelaxResult, energy: Mapping[str, float], summary: Mapping[str, Any]
+) -> None:
+    first, last = result.history[0], result.history[-1]
+    print(f"cells            {len(result.positions)}")
+    print(f"steps            {last.step}, {last.evaluations} evaluations in {last.seconds:.3g} s")
+    print(f"ended            {result.message}")
+    print(f"{f'energy, {settings.resolution}':17}{energy['initial']:.6g} -> {energy['final']:.6g}")
+    print(f"{'energy, measured':17}{energy['final_measured']:.6g}")
+    print(f"{'gradient':17}{first.gradient:.3g} -> {last.gradient:.3g}")
+    for name in ("tightness", "neighbors", "transitions", "scutoid_fraction"):
+        if name in summary:
+            print(f"{name:17}{summary[name]:.6g}")
