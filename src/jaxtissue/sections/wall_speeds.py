@@ -16,7 +16,7 @@ from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.vectors import Vector, add, dot, scale, subtract, turned
 from jaxtissue.sections.half_planes import take
 from jaxtissue.sections.polygons import SIMPSON, STEEP, Edges, Polygon, edges_of, integrands, joined, parts, to_wall
-from jaxtissue.sections.views import LEAST_SLOPE, Segments, View, gap
+from jaxtissue.sections.views import LEAST_SLOPE, Backbones, Segments, View, gap
 
 BLUNT = 0.03  # the sine of the angle of two walls below which their corner slides less than it should
 
@@ -118,8 +118,9 @@ def _simpson(size: Array) -> Array:
     return SIMPSON[0] * first + SIMPSON[1] * second + SIMPSON[2] * third
 
 
-def _closer(segments: Segments, motion: Motion, point: Vector) -> Array:
+def _closer(segments: Backbones, motion: Motion, point: Vector) -> Array:
     """By how much the square of the distance to moving backbones falls."""
+    assert isinstance(segments, Segments), "bent backbones do not move"
     way = subtract(point, segments.start)
     share = jnp.clip(dot(way, segments.along) / dot(segments.along, segments.along), 0, 1)
     offset = subtract(way, scale(share, segments.along))
