@@ -12,7 +12,6 @@ from jaxtissue.minimization.domain_energy import DomainEnergy
 from jaxtissue.neighbors import moving_lists
 from jaxtissue.neighbors.moving_lists import MovingLists
 
-pytestmark = pytest.mark.usefixtures("quickest_compile")
 CYST, CELLS = jt.Sphere(2.0, 2.5), 60
 
 
