@@ -131,7 +131,7 @@ class Domain(eqx.Module):
     def _integral(self, what: str) -> float | Array:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
             return _integral(self, what)
-        with usual_modes(), double_precision():
+        with jax.ensure_compile_time_eval(), usual_modes(), double_precision():
             total = np.asarray(_compiled_integral(in_doubles(self), what), float)
         return float(total) if total.ndim == 0 else jnp.asarray(total)
 
