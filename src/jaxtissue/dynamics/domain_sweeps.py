@@ -70,7 +70,7 @@ def survey_cells(positions: Float[Array, "n d"], scene: Scene) -> Survey:
     points, is_point = corner_points(sections)
     return Survey(
         TissueState(place, cells),
-        clearances(polygons, len(rivals), unit).T,
+        clearances(view, polygons, unit).T,
         jnp.stack(points, axis=-1).reshape(-1, 3),
         is_point.ravel(),
         jnp.broadcast_to(numbers, is_point.shape).ravel(),

@@ -16,7 +16,7 @@ from jaxtissue.sections.crowd import gather_bent, gather_crowd
 from jaxtissue.sections.polygons import Rule, Sections, measure_sections
 from jaxtissue.sections.views import View, look
 
-RULE = Rule(slots=14, passes=3, steps=1, rays=2)
+RULE = Rule(slots=14, passes=2, steps=1, rays=2)
 MANY_SLOTS = 31  # as many edges as five bits can number
 
 

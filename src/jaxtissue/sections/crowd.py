@@ -17,6 +17,7 @@ NEAREST = 16  # at each of three points of a backbone, of bent ones at each of u
 SAMPLES = 9  # points of a backbone that are searched
 FOUND = 10, 160  # of these that are looked at round a corner, first, and where so few are not enough
 ROUNDING = 1e-4  # of its distance, by which a corner may be nearer to a candidate that is not listed
+CHUNK = 8192  # points that are looked at together
 ROUND_UP = 8  # lists have multiples of so many candidates, so that fewer programs are compiled
 
 
@@ -111,6 +112,23 @@ def missing(
         unseen = np.sqrt(np.maximum(near[:, -1] ** 2 - half**2, 0))
         left = left[(unseen < own) & ~lacks.any(axis=1) & (count < tree.n)]
     return np.unique(np.concatenate(pairs), axis=0), len(left)
+
+
+def overlaps(
+    crowd: Crowd, lists: Int[np.ndarray, "q n"], points: Float[np.ndarray, "p 3"], cells: Int[np.ndarray, " p"]
+) -> Float[np.ndarray, " n"]:
+    """How much nearer points of a cell's rim are to one of its candidates than to its own backbone, at most.
+
+    It is 0 to rounding where corners and middles of edges lie on walls of the cell.
+    """
+    start, along = (np.stack([np.asarray(part, float) for part in vector], axis=1) for vector in crowd.segments)
+    most = np.zeros(crowd.cells)
+    for first in range(0, len(points), CHUNK):
+        point, cell = points[first : first + CHUNK], cells[first : first + CHUNK]
+        listed = lists.T[cell]
+        others = np.where(listed >= 0, _distance(start[listed], along[listed], point[:, None]), np.inf).min(axis=1)
+        np.maximum.at(most, cell, _distance(start[cell], along[cell], point) - others)
+    return most
 
 
 def extended(lists: Int[np.ndarray, "q n"], pairs: Int[np.ndarray, "m 2"]) -> Int[np.ndarray, "q n"]:

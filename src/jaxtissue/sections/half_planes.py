@@ -3,6 +3,7 @@
 All tables have the lines first and then the axes of layers and cells, *T, which are treated alike.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -86,20 +87,28 @@ def cut(planes: HalfPlanes, anchor: Array) -> Cuts:
     return Cuts(start, end, jnp.minimum(before, lines - 1), jnp.minimum(after, lines - 1))
 
 
-def farthest(points: Vector, is_point: Bool[Array, "slots *T"], directions: Vector, anchor: Array) -> Vector:
-    """The point that lies farthest along each direction, [lines, *T]: of the corners, that which a line cuts first."""
-    integer = jnp.int64 if directions[0].dtype == jnp.float64 else jnp.int32
+def deepest(
+    is_point: Bool[Array, "slots *T"], points: Vector, away: Array, offset: Callable[[Vector], Vector], anchor: Array
+) -> tuple[Array, Int[Array, "q *T"]]:
+    """How much nearer the own backbone is than each rival at the corner where that is nearest, as squares; its slot.
+
+    `away` are the squares for the own backbone, `offset` leads from all rivals to a point. The slot rides in the lowest
+    bits, as in `cut`.
+    """
+    integer = jnp.int64 if away.dtype == jnp.float64 else jnp.int32
     recast, least = jax.lax.bitcast_convert_type, jnp.asarray(-1 << 5, integer)
 
     def search() -> Array:
-        best = jnp.full_like(directions[0], -FAR)
+        best = jnp.asarray(FAR, away.dtype)
         for k in range(is_point.shape[0]):
-            height = dot(directions, (points[0][k], points[1][k]))
-            coded = recast((recast(height, integer) & least) | k, height.dtype)
-            best = jnp.where(is_point[k] & (coded > best), coded, best)
-        return (recast(best, integer) & ~least).astype(jnp.int32)
+            theirs = offset(tuple(part[k] for part in points))
+            coded = recast((recast(dot(theirs, theirs) - away[k], integer) & least) | k, away.dtype)
+            best = jnp.where(is_point[k] & (coded < best), coded, best)
+        return best
 
-    return take(points, jnp.minimum(fusion_barrier(search, anchor), is_point.shape[0] - 1))
+    best = fusion_barrier(search, anchor)
+    slot = (recast(best, integer) & ~least).astype(jnp.int32)
+    return best, jnp.minimum(slot, is_point.shape[0] - 1)
 
 
 def crossing(one: HalfPlanes, other: HalfPlanes, least: float) -> Vector:

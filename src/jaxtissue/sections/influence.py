@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxtissue.compilation.fusion import fusion_barrier
 from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.vectors import Vector, dot
-from jaxtissue.sections.half_planes import FAR, farthest
+from jaxtissue.geometry.vectors import Vector, dot, subtract
+from jaxtissue.sections.half_planes import FAR, deepest
 from jaxtissue.sections.polygons import Polygon, lines_at
 from jaxtissue.sections.views import View, first_places
 
@@ -20,16 +21,26 @@ SLACK = 1e-5  # of the way to a corner, by which a line may miss it and counts a
 
 
 class Trace(NamedTuple):
-    """The polygons of cells pass by pass; tables are [passes, slots, *T]."""
+    """What a further rival of a cell would have to cut off, in the first pass, or be nearer to, before the next ones.
 
-    rough: Vector  # corners of the lines
-    corner: Vector  # the same, moved onto the walls
-    is_edge: Bool[Array, "passes slots *T"]
+    Attributes:
+        rough: The corners of the lines in the first pass, [slots, *T].
+        is_edge: Which there are.
+        point: The corners in space, moved onto the walls, of all passes but the last, [passes - 1, slots, *T].
+        away: The squares of their distances to the own backbone, negative where there is none.
+    """
+
+    rough: Vector
+    is_edge: Bool[Array, "slots *T"]
+    point: Vector
+    away: Array
 
 
 def trace_of(polygons: Polygon) -> Trace:
     """The trace of polygons, [passes, ...]."""
-    return Trace(polygons.rough, polygons.end, polygons.packed.is_edge)
+    first = jax.tree.map(lambda table: table[0], (polygons.rough, polygons.packed.is_edge))
+    point, away = jax.tree.map(lambda table: table[:-1], (polygons.point, polygons.away))
+    return Trace(*first, point, jnp.where(polygons.packed.is_edge[:-1], away, -1))
 
 
 def sides(polygons: Polygon, candidates: int) -> Bool[Array, "q cells"]:
@@ -37,25 +48,37 @@ def sides(polygons: Polygon, candidates: int) -> Bool[Array, "q cells"]:
     return polygons.exists[:, :candidates].any(axis=(0, 2))
 
 
-def clearances(polygons: Polygon, candidates: int, unit: Float[Array, "layers 1"]) -> Float[Array, "q cells"]:
-    """By how much each candidate's line misses all corners, in any pass: at most 0 for sides; in the layers' units."""
-    normal, offset = (polygons.planes.normal, polygons.planes.offset)
-    x, y, offset = (table[:, :candidates, None] for table in (*normal, offset))
-    corners = tuple(part[:, None] for part in polygons.rough)
-    room = (offset - x * corners[0] - y * corners[1]) / unit
-    return jnp.where(polygons.packed.is_edge[:, None], room, FAR).min(axis=(0, 2, 3))
+def clearances(view: View, polygons: Polygon, unit: Float[Array, "layers 1"]) -> Float[Array, "q cells"]:
+    """By how much each candidate's wall misses all corners, in any pass: at most 0 for sides; in the layers' units."""
+    candidates = view.is_there.shape[0]
+    planes, rough, is_edge = jax.tree.map(
+        lambda table: table[0], (polygons.planes, polygons.rough, polygons.packed.is_edge)
+    )
+    x, y, offset = (table[:candidates, None] for table in (*planes.normal, planes.offset))
+    room = (offset - x * rough[0] - y * rough[1]) / unit
+    room = jnp.where(is_edge, room, FAR).min(axis=(1, 2))
+    apart = subtract(view.rivals.start, view.own.start)
+    half = 2 * jnp.sqrt(dot(apart, apart)) * unit
+    for k in range(polygons.spare.shape[0]):
+        known = jax.tree.map(lambda table, k=k: table[k], (polygons.packed.is_edge, polygons.point, polygons.away))
+        room = jnp.minimum(room, (deepest(*known, view.rivals.offset, view.anchor)[0] / half).min(axis=1))
+    return jnp.where(sides(polygons, candidates), jnp.minimum(room, 0), room)
 
 
 def would_be_side(domain: Domain, view: View, trace: Trace) -> Bool[Array, " cells"]:
-    """Whether the one rival that is looked at would be a side of the polygon if it were a candidate too.
+    """Whether the one rival that is looked at might be a side of the polygon if it were a candidate too.
 
-    Its line is followed through the passes as it would be taken if it cut nothing.
+    Its line cuts off a corner in the first pass, or it is nearer to a corner afterwards.
     """
     none = (jnp.zeros((1, *view.height.shape), view.height.dtype),) * 2
 
-    def follow(z: Vector, one: Trace) -> tuple[Vector, Array]:
-        line, slack = lines_at(domain, view, z), SLACK * jnp.sqrt(dot(one.rough, one.rough))
-        cuts = one.is_edge & (dot(line.normal, one.rough) > line.offset - slack)
-        return farthest(one.corner, one.is_edge, line.normal, view.anchor), cuts.any(axis=(0, 1))
+    def cuts() -> Array:
+        line = lines_at(domain, view, first_places(view, view.frame(domain, none)))
+        slack = SLACK * jnp.sqrt(dot(trace.rough, trace.rough))
+        return (trace.is_edge & (dot(line.normal, trace.rough) > line.offset - slack)).any(axis=(0, 1))
 
-    return jax.lax.scan(follow, first_places(view, view.frame(domain, none)), trace)[1].any(axis=0)
+    def is_nearer() -> Array:
+        theirs = view.rivals.offset(trace.point)
+        return (dot(theirs, theirs) < (1 + SLACK) * trace.away).any(axis=(0, 1, 2))
+
+    return fusion_barrier(cuts, view.anchor) | fusion_barrier(is_nearer, view.anchor)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Int
 from jaxtissue.compilation.fusion import fusion_barrier
 from jaxtissue.geometry.domains import Domain, Frame
 from jaxtissue.geometry.vectors import Vector, add, area, dot, each, scale, subtract, turned
-from jaxtissue.sections.half_planes import HalfPlanes, Packed, crossing, cut, farthest, pack, take
+from jaxtissue.sections.half_planes import FAR, HalfPlanes, Packed, crossing, cut, deepest, pack, take
 from jaxtissue.sections.views import Backbones, View, as_half_planes, first_places, gap, limit_planes
 
 SHARP = 0.03  # the sine of the angle of two walls below which their corner stays that of the lines
@@ -95,6 +95,8 @@ class Polygon(NamedTuple):
     planes: HalfPlanes  # all lines, [lines, *T]
     exists: Bool[Array, "lines *T"]
     before: Int[Array, "slots *T"]
+    point: Vector  # `end` in space
+    away: Array  # its distance to the own backbone, squared
 
 
 def measure_sections(domain: Domain, view: View, rule: Rule) -> Sections:
@@ -128,8 +130,9 @@ def measure_polygons(domain: Domain, view: View, rule: Rule, polygon: Polygon) -
 def find_polygons(domain: Domain, view: View, rule: Rule) -> Polygon:
     """The polygon of each section, by a fixed number of passes from lines to corners and back to lines, [passes, ...].
 
-    Corners are brought onto the walls. Then a wall with an edge is the line through the edge's corners, and one without
-    is taken as a line at the corner that it would cut first: so what cuts off a corner is found in the next pass.
+    Corners are brought onto the walls. Then a wall with an edge is the line through the edge's corners, and that of a
+    rival that is nearer to a corner is a line there: so what cuts off a corner is found in the next pass. All others
+    cut nothing: far from the place where they are taken, their lines may miss the walls by much.
     """
     anchor, limits = view.anchor, limit_planes(domain, view)
     flat = view.frame(domain, (jnp.zeros((1, *view.height.shape), view.height.dtype),) * 2)
@@ -160,8 +163,10 @@ def _cut_out(domain: Domain, view: View, planes: HalfPlanes, rule: Rule) -> Poly
     for _ in range(rule.steps):
         corners = fusion_barrier(lambda z=corners: add(z, _to_corner(domain, view, z, twice, others)), anchor)
     start, end = parts(corners, 2)
-    spare = jnp.sum(cuts.exists, axis=0) - rule.slots
-    return Polygon(packed, edge, start, end, after, spare, parts(rough, 2)[1], planes, cuts.exists, before)
+    point = fusion_barrier(lambda: view.frame(domain, end).point, anchor)
+    mine = view.own.offset(point)
+    last = parts(rough, 2)[1], planes, cuts.exists, before, point, dot(mine, mine)
+    return Polygon(packed, edge, start, end, after, cuts.exists.sum(axis=0) - rule.slots, *last)
 
 
 def _refined(domain: Domain, view: View, planes: HalfPlanes, polygon: Polygon) -> HalfPlanes:
@@ -178,9 +183,10 @@ def _refined(domain: Domain, view: View, planes: HalfPlanes, polygon: Polygon) -
     is_edge = is_edge & (line == number)
     ahead = dot(chord, turned(old.normal))
     is_chord = is_edge & (ahead > 0.5 * jnp.sqrt(dot(chord, chord))) & (dot(chord, chord) > 0)
-    corner = farthest(polygon.end, polygon.packed.is_edge, old.normal, anchor)
-    z = each(lambda a, b, c: jnp.where(is_edge, (a + b) / 2, c), start, end, corner)
+    depth, which = deepest(polygon.packed.is_edge, polygon.point, polygon.away, view.rivals.offset, anchor)
+    z = each(lambda a, b, c: jnp.where(is_edge, (a + b) / 2, c), start, end, take(polygon.end, which))
     fresh = fusion_barrier(lambda: lines_at(domain, view, z), anchor)
+    fresh = fresh._replace(offset=jnp.where(is_edge | (depth < 0), fresh.offset, FAR))
 
     def with_chords() -> HalfPlanes:
         size = jnp.sqrt(jnp.where(is_chord, dot(chord, chord), 1))

@@ -14,10 +14,13 @@ from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Resolution, section_layers
-from jaxtissue.neighbors.section_lists import Measured, find_sections
-from jaxtissue.sections.cells import plan_layers
+from jaxtissue.neighbors.section_lists import Measured, crowd_of, find_sections
+from jaxtissue.sections.cells import corner_points, plan_layers
+from jaxtissue.sections.crowd import Crowd, overlaps
+from jaxtissue.tissue.refinement import LIMITS, over_limits
 
 SAFETY = 2.0  # errors are this many times the difference of two rules
+OVERLAP = 0.25  # of a cell's walls that may be off, by as much as its rim is nearer to another backbone
 DEFECT = 2e-3  # of a layer, by which the sections of all cells may miss it without a warning
 
 
@@ -33,14 +36,15 @@ def measure_domain_tissue(
     if refine:
         # of the cell itself; one rule alone does not show its error
         unknown = jnp.where(sizes.is_cut | (len(sizes.volume) == 1), 1.0, defect)
+        overlap = OVERLAP * jnp.asarray(overlaps(*rims(domain, found)), sizes.volume.dtype)
+        # a wall that is off by so much, and as much of its area as of its length
+        off = overlap * sizes.lateral_area[0], overlap * jnp.sqrt(sizes.lateral_area[0])
         errors = [
-            SAFETY * jnp.abs(rules[0] - rules[-1]) + unknown * jnp.abs(rules[0])
-            for rules in (sizes.volume, sizes.lateral_area)
+            SAFETY * jnp.abs(rules[0] - rules[-1]) + unknown * jnp.abs(rules[0]) + more
+            for rules, more in zip((sizes.volume, sizes.lateral_area), off, strict=True)
         ]
-        for message in section_doubts(domain, found, defect):
-            warnings.warn(message, stacklevel=4)
     on_surfaces = [sizes.areas[0], sizes.areas[1], sizes.perimeters[0], sizes.perimeters[1]]
-    return CellGeometry(
+    cells = CellGeometry(
         sizes.volume[0],
         sizes.lateral_area[0],
         *(on_surfaces if surfaces else [None] * 4),
@@ -49,6 +53,18 @@ def measure_domain_tissue(
         lateral_area_error=errors[1],
         tiling_defect=jnp.asarray(defect, sizes.volume.dtype),
     )
+    for message in section_doubts(cells, found) if refine else ():
+        warnings.warn(message, stacklevel=4)
+    return cells
+
+
+def rims(domain: Domain, found: Measured) -> tuple[Crowd, np.ndarray, np.ndarray, np.ndarray]:
+    """The backbones, the lists, the corners and middles of all edges in space, and the cells that they are of."""
+    points, is_point = corner_points(found.sections)
+    there = np.asarray(is_point)
+    rim = np.stack([np.asarray(part)[there] for part in points], axis=1).astype(float)
+    cells = np.broadcast_to(np.arange(len(found.positions)), there.shape)[there]
+    return crowd_of(domain, found.positions), found.lists, rim, cells
 
 
 def tiling_defect(domain: Domain, found: Measured) -> float:
@@ -62,9 +78,9 @@ def tiling_defect(domain: Domain, found: Measured) -> float:
 _layer_volumes: Callable[[Domain, Array], Array] = jax.jit(lambda domain, heights: domain.layer_volume(heights))
 
 
-def section_doubts(domain: Domain, found: Measured, defect: float) -> Iterator[str]:
+def section_doubts(cells: CellGeometry, found: Measured) -> Iterator[str]:
     """The warnings about sections that cannot be trusted."""
-    n = len(found.positions)
+    n, defect = len(found.positions), float(np.asarray(cells.tiling_defect))
     cut = np.flatnonzero(np.asarray(found.sizes.is_cut))
     if len(cut):
         told = ", ".join(map(str, cut[:5].tolist()))
@@ -74,3 +90,5 @@ def section_doubts(domain: Domain, found: Measured, defect: float) -> Iterator[s
     if not defect <= DEFECT:
         told = f"the sections of the {n} cells miss a layer of the tissue by {100 * defect:.2g} %"
         yield f"{told}: some lack a part, or overlap"
+    elif not len(cut):
+        yield from (f"{told}; take a finer resolution" for _, told in over_limits(cells, LIMITS))

@@ -46,6 +46,7 @@ from jaxtissue.tissue.refinement import (
     measure_refined,
     measuring,
     mesh,
+    over_limits,
     plain,
 )
 from jaxtissue.topology.traced_sizes import trace_sizes
@@ -138,20 +139,10 @@ def doubts(cells: CellGeometry, tube: Tube, limits: tuple[float, float]) -> Iter
 
     The limits are fractions of the mean volume and of the mean lateral area.
     """
-    for name, limit in zip(("volume", "lateral_area"), limits, strict=True):
-        size = np.asarray(getattr(cells, name), float)
-        share = np.asarray(getattr(cells, f"{name}_error"), float) / max(size.mean(), 1e-300)
-        over = np.flatnonzero(~(share <= limit))
-        if len(over) and len(size) > 1:
-            worst = over[np.argsort(-np.nan_to_num(share[over], nan=np.inf))[:5]]
-            listed = ", ".join(f"{cell} ({100 * share[cell]:.2g} %)" for cell in worst)
-            label = name.replace("_", " ")
-            cure = "use 64 bits, move backbones that nearly coincide apart"
-            cure += ", or take a larger tolerance" if limit < min(LIMITS) else ""
-            yield (
-                f"the {label} of {len(over)} of {len(size)} cells may be off by more than {100 * limit:g} %"
-                f" of the mean: cells {listed}; {cure}"
-            )
+    for limit, told in over_limits(cells, limits):
+        cure = "use 64 bits, move backbones that nearly coincide apart"
+        cure += ", or take a larger tolerance" if limit < min(LIMITS) else ""
+        yield f"{told}; {cure}"
     total, error = (np.asarray(c, float).sum() for c in (cells.volume, cells.volume_error))
     lost = total - float(tube.volume)
     if not abs(lost) <= error + SUMS * float(tube.volume) / len(cells.volume):

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -96,6 +96,19 @@ def measure_by_rules(
     crowd = np.append(np.flatnonzero(small), np.asarray(tissue.neighbors.candidates)[small])
     open_ = np.append(np.flatnonzero(~(error <= allowed).all(axis=0)), crowd)
     return sizes, np.union1d(open_, near_twins(tissue.positions, tissue.neighbors.domain))
+
+
+def over_limits(cells: CellGeometry, limits: tuple[float, float]) -> Iterator[tuple[float, str]]:
+    """The limits, of the mean volume and lateral area, that errors of cells are beyond, and which cells these are."""
+    for name, limit in zip(("volume", "lateral_area"), limits, strict=True):
+        size = np.asarray(getattr(cells, name), float)
+        share = np.asarray(getattr(cells, f"{name}_error"), float) / max(size.mean(), 1e-300)
+        over = np.flatnonzero(~(share <= limit))
+        if len(over) and len(size) > 1:
+            worst = over[np.argsort(-np.nan_to_num(share[over], nan=np.inf))[:5]]
+            listed = ", ".join(f"{cell} ({100 * share[cell]:.2g} %)" for cell in worst)
+            told = f"the {name.replace('_', ' ')} of {len(over)} of {len(size)} cells may be off by more than"
+            yield limit, f"{told} {100 * limit:g} % of the mean: cells {listed}"
 
 
 def near_twins(positions: Float[np.ndarray, "n 2"], tube: Tube, coarse: float = COARSE) -> Int[np.ndarray, " cells"]:
