@@ -19,6 +19,8 @@ from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.neighbors.section_lists import find_sections
 from jaxtissue.runs import storage
 from jaxtissue.sections.cells import plan_layers
+from jaxtissue.sections.crowd import Crowd, overlaps
+from jaxtissue.sections.views import Segments
 
 pytestmark = pytest.mark.usefixtures("coarse_pictures")
 PI = math.pi
@@ -212,6 +214,15 @@ def test_cells_turn_with_the_tissue():
     mirrored[:, 0] = place[order, 0]
     first, second = (jt.measure_tissue(p, bent, "draft", refine=False) for p in (place, mirrored))
     np.testing.assert_allclose(second.volume, np.asarray(first.volume)[order], atol=2e-3 * float(first.volume.mean()))
+
+
+def test_rims_that_reach_beyond_walls_are_told():
+    """Two upright backbones at x = 0 and 1: the wall is x = 1/2."""
+    both, none = np.array([0.0, 1.0]), np.zeros(2)
+    crowd = Crowd(Segments((both, none, none), (none, none, none + 1)), 2)
+    points = np.array([[0.5, 0, 0.3], [0.6, 0, 0.3], [0.5, 0, 0.9]])
+    np.testing.assert_allclose(overlaps(crowd, np.array([[1, 0]]), points, np.array([0, 0, 1])), [0.2, 0], atol=1e-12)
+    assert (overlaps(crowd, np.array([[-1, 0]]), points, np.array([0, 0, 1])) == 0).all()  # no candidate, no wall
 
 
 @pytest.mark.filterwarnings("ignore:the sections of the 2 cells")
