@@ -121,13 +121,15 @@ def overlaps(
 
     It is 0 to rounding where corners and middles of edges lie on walls of the cell.
     """
-    start, along = (np.stack([np.asarray(part, float) for part in vector], axis=1) for vector in crowd.segments)
+    start, along = crowd.pieces()
     most = np.zeros(crowd.cells)
     for first in range(0, len(points), CHUNK):
         point, cell = points[first : first + CHUNK], cells[first : first + CHUNK]
         listed = lists.T[cell]
-        others = np.where(listed >= 0, _distance(start[listed], along[listed], point[:, None]), np.inf).min(axis=1)
-        np.maximum.at(most, cell, _distance(start[cell], along[cell], point) - others)
+        others = np.where(listed >= 0, _distance(start[:, listed], along[:, listed], point[:, None]), np.inf).min(
+            axis=1
+        )
+        np.maximum.at(most, cell, _distance(start[:, cell], along[:, cell], point) - others)
     return most
 
 
