@@ -38,9 +38,9 @@ class Trace(NamedTuple):
 
 def trace_of(polygons: Polygon) -> Trace:
     """The trace of polygons, [passes, ...]."""
-    first = jax.tree.map(lambda table: table[0], (polygons.rough, polygons.packed.is_edge))
-    point, away = jax.tree.map(lambda table: table[:-1], (polygons.point, polygons.away))
-    return Trace(*first, point, jnp.where(polygons.packed.is_edge[:-1], away, -1))
+    is_edge, rough = polygons.packed.is_edge, jax.tree.map(lambda table: table[0], polygons.rough)
+    point = jax.tree.map(lambda table: table[:-1], polygons.point)
+    return Trace(rough, is_edge[0], point, jnp.where(is_edge[:-1], polygons.away[:-1], -1))
 
 
 def sides(polygons: Polygon, candidates: int) -> Bool[Array, "q cells"]:
@@ -60,8 +60,9 @@ def clearances(view: View, polygons: Polygon, unit: Float[Array, "layers 1"]) ->
     apart = subtract(view.rivals.start, view.own.start)
     half = 2 * jnp.sqrt(dot(apart, apart)) * unit
     for k in range(polygons.spare.shape[0]):
-        known = jax.tree.map(lambda table, k=k: table[k], (polygons.packed.is_edge, polygons.point, polygons.away))
-        room = jnp.minimum(room, (deepest(*known, view.rivals.offset, view.anchor)[0] / half).min(axis=1))
+        point = jax.tree.map(lambda table, k=k: table[k], polygons.point)
+        edges, away = polygons.packed.is_edge[k], polygons.away[k]
+        room = jnp.minimum(room, (deepest(edges, point, away, view.rivals.offset, view.anchor)[0] / half).min(axis=1))
     return jnp.where(sides(polygons, candidates), jnp.minimum(room, 0), room)
 
 

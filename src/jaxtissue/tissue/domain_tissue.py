@@ -17,7 +17,6 @@ from jaxtissue.measurement.quadrature import Resolution, section_layers
 from jaxtissue.neighbors.section_lists import Measured, crowd_of, find_sections
 from jaxtissue.sections.cells import corner_points, plan_layers
 from jaxtissue.sections.crowd import Crowd, overlaps
-from jaxtissue.tissue.refinement import LIMITS, over_limits
 
 SAFETY = 2.0  # errors are this many times the difference of two rules
 OVERLAP = 0.25  # of a cell's walls that may be off, by as much as its rim is nearer to another backbone
@@ -90,5 +89,3 @@ def section_doubts(cells: CellGeometry, found: Measured) -> Iterator[str]:
     if not defect <= DEFECT:
         told = f"the sections of the {n} cells miss a layer of the tissue by {100 * defect:.2g} %"
         yield f"{told}: some lack a part, or overlap"
-    elif not len(cut):
-        yield from (f"{told}; take a finer resolution" for _, told in over_limits(cells, LIMITS))
