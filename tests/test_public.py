@@ -143,7 +143,7 @@ def test_steps_fall_in_energy_and_keep_account(positions):
 def test_steps_run_for_many_keys_at_once(positions):
     model = jt.tube_model(TUBE, CELLS)
     state, keys = jt.init(positions, model), jax.random.split(jax.random.key(1), 2)
-    together, _ = jax.jit(jax.vmap(jt.step, (0, None, None, None)))(keys, state, model, 2.0)
+    together, _ = jax.jit(jax.vmap(lambda key: jt.step(key, state, model, 2.0)))(keys)  # the state is closed over
     alone, _ = STEP(keys[1], state, model, 2.0)
     np.testing.assert_allclose(together.cells.volume[1], alone.cells.volume, rtol=2e-3, atol=1e-3)
 

@@ -89,8 +89,10 @@ def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -
     neighbors = shortlist_neighbors(measured.sides, measured.urgency(), 0)
     rounds = independent_rounds("near", place, model, measured.contacts)
     orders = padded_orders([rounds], 1, neighbors)
-    tissue = jax.tree.map(jnp.asarray, measured.tissue)
-    return SweepState(tissue, neighbors, jax.tree.map(lambda leaf: leaf[0], orders), lines[0])
+    order = jax.tree.map(lambda leaf: leaf[0], orders)
+    # arrays of JAX, so that a jitted function may close over the state
+    tissue, neighbors, order = jax.tree.map(jnp.asarray, (measured.tissue, neighbors, order))
+    return SweepState(tissue, neighbors, order, lines[0])
 
 
 @usual_modes()
