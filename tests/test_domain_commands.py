@@ -36,7 +36,7 @@ def test_what_measure_can_not_do_there_is_one_line(tmp_path, capsys):
     ]
     for more, told in (
         ([], "or measure sizes only, with --no-contacts"),
-        (["--tolerance", "0.01"], "finer --resolution"),
+        (["--tolerance", "0.01"], "use --resolution fine"),
     ):
         assert main([*run, *more]) == 2
         error = capsys.readouterr().err

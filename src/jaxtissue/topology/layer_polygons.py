@@ -94,23 +94,11 @@ def _polygons(
     across = flat.columns[..., :2]
     basis = np.linalg.inv(np.swapaxes(np.linalg.cholesky(np.swapaxes(across, 1, 2) @ across), 1, 2))
     limits = _limits(gaps, positions, basis)
-    start, along = (part.reshape(-1, 3)[lists] for part in (gaps.start, gaps.along))
     # along the layer, also where a straight way would lead through the lumen
     z = np.einsum("nqi,nji->nqj", _half_ways(gaps, positions, lists), np.linalg.inv(basis))
     before = None
     while True:
-        spots = gaps.look(np.repeat(positions, q, axis=0), (z @ np.swapaxes(basis, 1, 2)).reshape(-1, 2),
-                          np.full(n * q, height))  # fmt: skip
-        point = spots.point.reshape(n, q, 3)
-        mine = _offset(gaps.start[0][:, None], gaps.along[0][:, None], point)
-        theirs = _offset(start, along, point)
-        apart = theirs - mine
-        slope = 2 * np.einsum("nqi,nqij->nqj", apart, spots.columns[..., :2].reshape(n, q, 3, 2) @ basis[:, None])
-        steep = np.maximum(np.linalg.norm(slope, axis=-1), 1e-300)
-        normal = -slope / steep[..., None]
-        offset = ((apart * (theirs + mine)).sum(axis=-1)) / steep + (normal * z).sum(axis=-1)
-        # a line that leaves out the backbone itself was taken too far from its wall
-        there = (lists >= 0) & (steep > 1e-9 * np.linalg.norm(apart, axis=-1)) & (offset > 0)
+        normal, offset, there = _tangents(gaps, positions, lists, height, z, basis)
         if before is not None:
             normal, offset = np.where(there[..., None], normal, before[0]), np.where(there, offset, before[1])
             there |= before[2]
@@ -130,6 +118,26 @@ def _polygons(
     turn = np.arctan2(lines.normal[..., 1], lines.normal[..., 0])
     return Polygons(is_edge, turn, np.where(is_edge, high - low, 0), corner.place.reshape(n, q + 4, -1),
                     corner.point.reshape(n, q + 4, 3))  # fmt: skip
+
+
+def _tangents(
+    gaps: LayerGaps, positions: np.ndarray, lists: np.ndarray, height: float, z: np.ndarray, basis: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The walls as lines where each is taken, [n, q]: normals, offsets, and which lines are good for anything."""
+    n, q = lists.shape
+    start, along = (part.reshape(-1, 3)[lists] for part in (gaps.start, gaps.along))
+    spots = gaps.look(np.repeat(positions, q, axis=0), (z @ np.swapaxes(basis, 1, 2)).reshape(-1, 2),
+                      np.full(n * q, height))  # fmt: skip
+    point = spots.point.reshape(n, q, 3)
+    mine = _offset(gaps.start[0][:, None], gaps.along[0][:, None], point)
+    theirs = _offset(start, along, point)
+    apart = theirs - mine
+    slope = 2 * np.einsum("nqi,nqij->nqj", apart, spots.columns[..., :2].reshape(n, q, 3, 2) @ basis[:, None])
+    steep = np.maximum(np.linalg.norm(slope, axis=-1), 1e-300)
+    normal = -slope / steep[..., None]
+    offset = ((apart * (theirs + mine)).sum(axis=-1)) / steep + (normal * z).sum(axis=-1)
+    # a line that leaves out the backbone itself was taken too far from its wall
+    return normal, offset, (lists >= 0) & (steep > 1e-9 * np.linalg.norm(apart, axis=-1)) & (offset > 0)
 
 
 def _half_ways(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], lists: Int[np.ndarray, "n q"]) -> np.ndarray:
