@@ -117,9 +117,9 @@ def test_wrong_nodes_are_refused(positions, domain, told):
 
 def test_what_takes_straight_backbones_alone_says_so(tilted):
     for call in (jt.find_connectivity, lambda place, domain: jt.anneal(place, domain, sweeps=1)):
-        with pytest.raises(ValueError, match="only measured yet"):
+        with pytest.raises(ValueError, match="can only be measured"):
             call(tilted[0], SLAB)
-    with pytest.raises(ValueError, match="only measured yet"):
+    with pytest.raises(ValueError, match="can only be measured"):
         jt.find_connectivity(np.zeros((2, 2, 2)), TUBE)
 
 
@@ -134,7 +134,7 @@ def test_tables_read_back(heights, tmp_path):
     read = read_backbones(tmp_path / "b.csv", PIPE, bent=True)
     np.testing.assert_allclose(read.positions, place, rtol=1e-15)
     assert read.names == names
-    with pytest.raises(ValueError, match=r"b\.csv has (tilted|bent) backbones: .* only measured yet"):
+    with pytest.raises(ValueError, match=r"b\.csv has (tilted|bent) backbones: .* can only be measured"):
         read_backbones(tmp_path / "b.csv", PIPE)
 
 
@@ -158,7 +158,7 @@ def test_measure_takes_tilted_backbones(tilted, tmp_path, capsys):
     run = ["measure", str(tmp_path / "t.csv"), "--domain", str(tmp_path / "slab.json"), "--out", str(tmp_path / "m")]
     assert main(run) == 2
     error = capsys.readouterr().err
-    assert "only measured yet" in error and error.count("\n") == 1
+    assert "can only be measured" in error and error.count("\n") == 1
     assert main([*run, "--no-contacts"]) == 0
     header, *rows = (tmp_path / "m/cells.csv").read_text().splitlines()
     assert header.startswith("cell,apical_x,apical_y,basal_x,basal_y,volume") and len(rows) == CELLS
