@@ -14,12 +14,11 @@ import pytest
 import quick
 from hypothesis import settings
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
-from matplotlib.figure import Figure
 
 from jaxtissue.compilation.batching import PROGRAMS
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.neighbors import search
-from jaxtissue.runs import formats, plots
+from jaxtissue.runs import formats
 from jaxtissue.tissue import measurer, refinement
 
 DATA = Path(__file__).parent / "data"
@@ -47,6 +46,8 @@ def keep_compiled(tmp_path_factory, worker_id):
         for name, value in options.items():
             patch.setenv(name.upper(), str(value))
             jax.config.update(name, value)
+        patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
+        patch.setenv("PYTHONPYCACHEPREFIX", str(folder / "bytecode"))
         reset_cache()
         yield
 
@@ -97,15 +98,9 @@ def optimized():
 @pytest.fixture(scope="module")
 def coarse_pictures():
     """Draw pictures of few pixels, laid out without care: what runs leave them, and the same each time."""
-    save = Figure.savefig
-
-    def save_coarsely(figure, *arguments, **options):
-        figure.set_layout_engine("none")
-        save(figure, *arguments, **options | {"dpi": 30})
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plots, "_PIXELS", (100, 48))
-        patch.setattr(Figure, "savefig", save_coarsely)
+        for owner, name, value in quick.coarse():
+            patch.setattr(owner, name, value)
         yield
 
 

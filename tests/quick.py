@@ -85,6 +85,20 @@ def compile_as_asked() -> None:
         setattr(module, name, value)
 
 
+def coarse() -> list[tuple[Any, str, Any]]:
+    """What draws few pixels and lays nothing out, which are half of the time of a short run: owner, name, value."""
+    from matplotlib.figure import Figure
+
+    from jaxtissue.runs import plots
+
+    set_dpi = Figure.set_dpi
+    return [
+        (plots, "_PIXELS", (100, 48)),
+        (Figure, "get_layout_engine", lambda figure: None),
+        (Figure, "set_dpi", lambda figure, val: set_dpi(figure, 30)),
+    ]
+
+
 def meet(folder: Path, name: str, count: int) -> None:
     """Compile as asked, in each of `count` processes: none is done before all have begun."""
     compile_as_asked()
@@ -95,7 +109,9 @@ def meet(folder: Path, name: str, count: int) -> None:
 
 
 def run() -> None:
-    """`jaxtissue` in a process that a test started; it draws nothing in three dimensions."""
+    """`jaxtissue` in a process that a test started; it draws coarsely, and nothing in three dimensions."""
     compile_as_asked()
     formats.LEFT = ()
+    for owner, name, value in coarse():
+        setattr(owner, name, value)
     run_command()

@@ -217,7 +217,7 @@ def test_classical_mh_visits_one_by_one(start) -> None:
     assert row.energy < annealer().record(start).energy and row.drift < 1e-5  # float32
 
 
-@pytest.mark.parametrize("cells, ratio", [(1, 3), (70, 200)])
+@pytest.mark.parametrize("cells, ratio", [(1, 3), (CELLS, 200)])
 def test_the_smallest_tissues_and_the_narrowest_lumen(cells: int, ratio: float) -> None:
     tube = Tube(20.0, 3.0 / ratio, 3.0)
     run = Annealer(tube_model(tube, cells), PRESETS["draft"], "is-mh", 0, constant_schedule(0.5, 3))
@@ -229,7 +229,7 @@ def test_the_smallest_tissues_and_the_narrowest_lumen(cells: int, ratio: float) 
     assert all(row.drift < 1e-5 for row in rows)  # float32
     if cells == 1:
         assert first.area_energy == 0.0 and rows[-1].acceptance == 1.0
-    if cells == 70:
+    if cells == CELLS:
         assert rows[-1].energy < first.energy
 
 

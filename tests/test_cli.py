@@ -18,6 +18,7 @@ import quick
 
 import jaxtissue
 from jaxtissue.cli.commands import main
+from jaxtissue.compilation import program_cache
 from jaxtissue.dynamics.annealer import Annealer
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.quadrature import PRESETS
@@ -101,7 +102,9 @@ def count_rows(path):
 def annealed(tmp_path_factory):
     """The folder of an uninterrupted run of `LONG`."""
     folder = tmp_path_factory.mktemp("runs") / "whole"
-    assert main([*LONG, "--out", str(folder)]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(program_cache, "is_on", True)  # for commands that tests start
+        assert main([*LONG, "--out", str(folder)]) == 0
     return folder
 
 

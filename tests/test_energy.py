@@ -124,10 +124,10 @@ def test_an_energy_that_turns_infinite_is_told() -> None:
 
 
 def test_relative_constants_anneal_a_tissue_alike_in_every_unit() -> None:
-    share, runs = np.random.default_rng(0).random((12, 2)), []
+    share, runs = np.random.default_rng(0).random((16, 2)), []
     for unit in (1.0, 1000.0):
         tube = Tube(20 * unit, unit, 3 * unit)
-        model = tube_model(tube, 12, 1.0, 0.05, relative=True)
+        model = tube_model(tube, 16, 1.0, 0.05, relative=True)
         with jax.enable_x64(True):
             run = Annealer(model, "draft", "is-mh", 0, constant_schedule(0.02, 3))
             state, rows = run.start(share * [20 * unit, 6.28]), []

@@ -22,7 +22,7 @@ STRICT = {
     "disable_jit": True,
     "threefry_partitionable": False,
 }
-CELLS = 24
+CELLS = 16
 
 
 def results() -> dict[str, np.ndarray]:

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as some
+from hypothesis import Phase, given, settings, strategies as some
 
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.topology.traced_sizes import TracedSizes, trace_sizes
