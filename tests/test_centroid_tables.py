@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from jaxtissue.cli.commands import main
+from jaxtissue.geometry.domain_files import load_domain
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.runs.backbone_files import read_backbones
+from jaxtissue.runs.backbone_files import find_tube, read_backbones
 from jaxtissue.runs.centroid_tables import COLUMNS
 
 TUBE = Tube(length=30.0, apical_radius=4.0, basal_radius=8.0)
@@ -70,3 +72,45 @@ def test_what_is_no_table_of_centroids_is_refused(tmp_path, positions):
         assert str(refusal.value).startswith(str(tmp_path)) and "\n" not in str(refusal.value)
     with pytest.raises(ValueError, match="--degrees is for angles"):
         read_backbones(write(tmp_path / "cells.csv", ("x", "y", "z"), points), TUBE, degrees=True)
+
+
+def layers(positions: np.ndarray, radii: tuple[float, ...] = (4.0, 6.0, 8.0)) -> list[tuple[str, ...]]:
+    """Rows of centroids on backbones, by layer, with the axis turned over and begun elsewhere."""
+    return [
+        (f"c{cell}", str(layer), repr(radius), repr(axial - 7), repr(radius * angle))
+        for layer, radius in enumerate(radii)
+        for cell, (axial, angle) in enumerate(positions.tolist())
+    ]
+
+
+def write_layers(path: Path, rows: list[tuple[str, ...]]) -> Path:
+    path.write_text("\n".join(map(",".join, [("id", "layer", "radius", "x", "y"), *rows])))
+    return path
+
+
+def test_centroids_on_layers_tell_the_tube_too(tmp_path, positions):
+    """Cells that lack a layer are joined from the others; the angle is a mean on the circle."""
+    path = write_layers(tmp_path / "cells.csv", layers(positions)[5:])
+    with pytest.warns(UserWarning, match="centroids, not backbones"):
+        found, names = read_backbones(path, TUBE)
+    order = [names.index(f"c{cell}") for cell in range(40)]
+    np.testing.assert_allclose(found[order], positions, atol=1e-9)  # both ends are equally far from the last ones
+    tube = find_tube(path)
+    assert (tube.apical_radius, tube.basal_radius) == (4, 8)
+    assert tube.length == pytest.approx(30, abs=4)  # half a cell, about 2.4 long, beyond the last ones
+    path.write_text("id,axial,angle\n1,2,3\n")
+    assert find_tube(path) is None and find_tube(tmp_path / "none.csv") is None
+
+
+def test_measure_needs_no_sizes_for_layers(tmp_path, positions, recwarn, capsys):
+    rows, out = layers(positions), tmp_path / "out"
+    path = write_layers(tmp_path / "cells.csv", rows)
+    assert main(["measure", str(path), "--no-contacts", "--resolution", "draft", "--out", str(out)]) == 0
+    assert load_domain(out / "domain.json").basal_radius == 8 and len(recwarn) == 1
+    for wrong, told in (
+        ([*rows, rows[3]], "line 122: id='c3' is on layer '0' on line 5 too"),
+        ([("c", "0", "0", "1", "1"), *rows], "line 2: radius=0; give that of the layer"),
+        ([(*row[:4], str(2 * float(row[4]))) for row in rows], "give y along the circumference"),
+    ):
+        assert main(["measure", str(write_layers(path, wrong)), "--out", str(out), "--force"]) == 2
+        assert told in capsys.readouterr().err

@@ -13,11 +13,14 @@ import numpy as np
 import pandas
 import pytest
 import pyvista
+import tensorstore
 import tifffile
 import trimesh
+import yaozarrs
 from skimage.measure import regionprops
 
 from jaxtissue.cli.commands import main
+from jaxtissue.exports import images
 from jaxtissue.exports.tissue_record import TissueRecord, tabulate_walls
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.coloring import color_cells
@@ -49,7 +52,9 @@ def tissue(positions) -> TissueRecord:
 @pytest.fixture(scope="module")
 def folder(tissue, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("exports")
-    written = export_tissue(tissue, folder, FORMATS, SPACING)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(images, "SMALL", 64)  # voxels, so that there is a coarser copy
+        written = export_tissue(tissue, folder, FORMATS, SPACING)
     assert sorted(written) == sorted(folder.iterdir())
     return folder
 
@@ -85,6 +90,32 @@ def test_label_images_keep_volumes_spacing_and_origin(folder, sizes, positions):
         at = np.array([2 * np.sin(angle), 2 * np.cos(angle), axial])
         index = np.rint((at - origin) / SPACING).astype(int)
         assert image[tuple(index)] == cell + 1
+
+
+def test_ome_zarr_is_the_same_image(folder, tissue):
+    """By the schema of OME-Zarr 0.5, and read by TensorStore, which shares no code with zarr."""
+    path = folder / "labels.ome.zarr"
+    yaozarrs.validate_zarr_store(str(path))
+    about = yaozarrs.open_group(str(path)).ome_metadata()
+    assert about.version == "0.5" and [color.label_value for color in about.image_label.colors] == list(range(1, 17))
+    (image,) = about.multiscales
+    assert [(axis.name, axis.unit) for axis in image.axes] == [(axis, "micrometer") for axis in "zyx"]
+    whole, half = (
+        tensorstore.open({"driver": "zarr3", "kvstore": {"driver": "file", "path": str(path / copy.path)}}).result()
+        for copy in image.datasets
+    )
+    tiff = tifffile.imread(folder / "labels.ome.tif")
+    np.testing.assert_array_equal(whole.read().result(), tiff)
+    np.testing.assert_array_equal(half.read().result(), tiff[::2, ::2, ::2])
+    assert whole.domain.labels == ("z", "y", "x")
+    for step, copy in zip((1, 2), image.datasets, strict=True):
+        scale, moved = copy.coordinateTransformations
+        assert scale.scale == [step * side for side in SPACING]
+        # the image is centered on the axis, and begins at the end of the tube: the first center is half a voxel in
+        expected = [SPACING[0] * (1 - tiff.shape[0]) / 2, SPACING[1] * (1 - tiff.shape[1]) / 2, SPACING[2] / 2]
+        np.testing.assert_allclose(moved.translation, expected)
+    assert export_tissue(tissue, folder, ["ome-zarr"], SPACING) == [path]  # in place of the old one
+    assert not (path / "1").exists()
 
 
 def test_cells_open_in_paraview_and_have_their_volumes(folder, sizes, tissue):
@@ -193,7 +224,7 @@ def test_the_command_exports_what_measure_left(tmp_path, positions, capsys):
         (["--to", "pdf"], "argument --to: invalid choice: 'pdf'"),
         (["--to", "ome-tiff", "--spacing", "1e-5", "1", "1e-5"], "e+12 voxels; give a larger one"),
         (["--to", "pvd"], "pvd needs the sweeps of a run"),
-        (["--to", "csv", "--spacing", "1", "1", "1"], "--spacing applies to ome-tiff"),
+        (["--to", "csv", "--spacing", "1", "1", "1"], "--spacing applies to ome-tiff and ome-zarr only"),
     ],
 )
 def test_what_cannot_be_exported_is_told_in_a_line(tmp_path, positions, capsys, arguments, told):
@@ -233,6 +264,7 @@ def test_a_folder_without_a_run_is_named(tmp_path, capsys):
     [
         ("pyvista", "vtu", "viz"),
         ("tifffile", "ome-tiff", "io"),
+        ("zarr", "ome-zarr", "zarr"),
         ("trimesh", "ply", "io"),
         ("anndata", "anndata", "anndata"),
     ],

@@ -233,8 +233,7 @@ def test_noise_and_missing_cells_are_tolerated(drawn, positions):
     noisy[at] = rng.choice(np.setdiff1d(np.arange(CELLS + 1), gone), at.sum())
     fit = jt.fit_tissue(noisy, SPACING)
     assert (fit.voxels == image)[(image > 0) & ~np.isin(image, gone)].mean() > 0.99
-    assert ends_apart(fit, positions, frame).max() < 0.75  # cells beside gaps lack walls; 0.5 in the bulk
-    assert np.median(ends_apart(fit, positions, frame)) < 0.25
+    assert ends_apart(fit, positions, frame).max() < 0.4  # found up to 0.2
     assert fit.beside_gap.any() and 0.08 < fit.report["voxels_missing"] < 0.2
     assert 0.93 < fit.report["voxels_same"] < 0.96  # against the noisy image
 

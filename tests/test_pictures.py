@@ -1,21 +1,29 @@
 """Pictures in three dimensions: they show the cells that they are to show, in colors that stay."""
 
+import subprocess
 import sys
+from functools import partial
 
+import imageio_ffmpeg
 import jax
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
+from PIL import Image
 
 from jaxtissue.cli.commands import main
+from jaxtissue.diagram.point_location import label_points
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.cell_meshes import mesh_cells
 from jaxtissue.meshes.coloring import PALETTE, spread_colors
+from jaxtissue.meshes.cuts import segments
+from jaxtissue.meshes.straight_edges import straighten
 from jaxtissue.pictures.bodies import body
+from jaxtissue.pictures.movies import save_movie, turn_round
 from jaxtissue.pictures.outsides import cut_open
-from jaxtissue.pictures.scenes import centers
+from jaxtissue.pictures.scenes import centers, draw_tissue
 from jaxtissue.runs import formats
 from jaxtissue.runs.backbone_files import BackboneTable
 from jaxtissue.runs.formats import VIEWED
@@ -134,9 +142,47 @@ def test_the_command_draws_what_measure_left(tissue, tmp_path, capsys):
         assert told in capsys.readouterr().err
 
 
-def test_a_run_becomes_a_movie(tissue, tmp_path):
-    from PIL import Image
+def test_edges_are_straight_and_cells_as_large_as_before(tissue):
+    meshes, backbones = tissue.meshes, segments(*tissue.ends)
+    straight = straighten(meshes, backbones, partial(label_points, positions=tissue.positions, tube=TUBE))
+    assert straight.triangles is meshes.triangles
 
+    def off(shown):
+        """How far the vertices of three cells are from a wall between two of them, 95 % of them at most."""
+        pairs = np.unique(np.stack([np.repeat(shown.triangles, 2), np.tile(shown.sides, 3).ravel()], axis=1), axis=0)
+        first, count = np.unique(pairs[:, 0], return_index=True, return_counts=True)[1:]
+        chosen = first[count == 3][:, None] + np.arange(3)
+        point, label = shown.points[pairs[chosen[:, 0], 0]], pairs[chosen, 1]
+        inner = label.max(axis=1) < CELLS
+        away = [backbones.offset(point[inner], cell) for cell in label[inner].T]
+        lead = np.abs((away[0] ** 2).sum(axis=1) - (away[1] ** 2).sum(axis=1))
+        return np.quantile(lead / np.linalg.norm(away[0] - away[1], axis=1) / 2, 0.95)
+
+    assert off(straight) < 0.02 * off(meshes)
+    true = tissue.connectivity.sizes.volume
+    np.testing.assert_allclose(straight.volumes(), true, rtol=0.04)  # the meshes' own tolerance here
+    assert np.abs(straight.volumes() / true - 1).mean() < np.abs(meshes.volumes() / true - 1).mean()
+
+
+@pytest.mark.parametrize("ending", ["gif", "mp4"])
+def test_a_turntable_shows_the_tissue_from_all_round(tissue, tmp_path, ending):
+    plotter = draw_tissue(cut_open(tissue.positions, TUBE), np.full((CELLS, 3), 200, np.uint8), None)
+    frames = list(turn_round(plotter, 3))
+    plotter.close()
+    assert all((frame[0] == 255).all() and (frame[:, [0, -1]] == 255).all() for frame in frames)  # none is cut off
+    assert all((frame < 250).any(axis=2).mean() > 0.1 for frame in frames) and (frames[0] != frames[1]).any()
+    save_movie(frames, tmp_path / f"turn.{ending}", 0.2, 2)
+    if ending == "mp4":
+        command = ["-loglevel", "error", "-i", tmp_path / "turn.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+        data = subprocess.run([imageio_ffmpeg.get_ffmpeg_exe(), *command], capture_output=True, check=True).stdout
+        shown = np.frombuffer(data, np.uint8).reshape(15, 160, 240, 3)  # 25 a second
+        assert np.abs(shown[7].astype(int) - frames[1]).mean() < 10
+    else:
+        with Image.open(tmp_path / "turn.gif") as movie:
+            assert movie.n_frames == 3 and movie.size == (120, 80)
+
+
+def test_a_run_becomes_a_movie(tissue, tmp_path):
     moving = TissueRecord(tissue.positions, TUBE, history={0: tissue.positions, 3: tissue.positions * [1, 0.98]})
     view_tissue(moving, "movie", tmp_path / "run.gif")
     with Image.open(tmp_path / "run.gif") as movie:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from jaxtissue.runs.settings import versions
 
-EXTRAS = ("pandas", "pyarrow", "tifffile", "trimesh", "pyvista", "anndata")
+EXTRAS = ("pandas", "pyarrow", "tifffile", "trimesh", "pyvista", "anndata", "zarr")
 
 
 def info(arguments: dict[str, Any]) -> int:

@@ -8,7 +8,7 @@ from jaxtissue.geometry.domain_files import load_domain, load_tube
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.nodes import domain_of
 from jaxtissue.geometry.tube import TUBE_SIZES, Tube
-from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
+from jaxtissue.runs.backbone_files import BackboneTable, find_tube, read_backbones
 from jaxtissue.runs.distributed import Part, join, slurm_part
 from jaxtissue.topology.statistics import Connectivity, find_connectivity
 
@@ -44,7 +44,9 @@ def found_contacts(positions: Any, domain: Tube | Domain, minimum: float) -> Con
 
 def read_tissue(arguments: dict[str, Any]) -> tuple[Tube | Domain, BackboneTable]:
     """The tube or other domain and the backbones that a command is given."""
-    domain = given_domain(arguments, load_domain) or Tube(*_tube_sizes(arguments))
+    sized = any(name in arguments for name in TUBE_SIZES)
+    domain = given_domain(arguments, load_domain) or (None if sized else find_tube(arguments["file"]))
+    domain = domain or Tube(*_tube_sizes(arguments))
     backbones = read_backbones(arguments["file"], domain, arguments["degrees"], bent=True)
     return domain_of(domain, backbones.positions), backbones
 

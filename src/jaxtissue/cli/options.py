@@ -215,7 +215,7 @@ def _add_export(command: argparse.ArgumentParser) -> None:
     command.add_argument("--to", nargs="+", required=True, choices=FORMATS, metavar="FORMAT",
                          help=f"one or more of {', '.join(FORMATS)}")  # fmt: skip
     command.add_argument("--spacing", nargs=3, type=number_of(0, above=True), metavar=("Z", "Y", "X"), help=
-                         "sides of a voxel of ome-tiff (default: a tenth of the mean cell's side)")  # fmt: skip
+                         "sides of a voxel of label images (default: a tenth of the mean cell's side)")  # fmt: skip
     command.add_argument("--unit", choices=UNITS, default="", help="unit of length of the run, stored in the files")
     _add_folder(command, required=True)
 
@@ -238,9 +238,8 @@ def _add_view(command: argparse.ArgumentParser) -> None:
         "--cell", type=count_of(0), metavar="N", help="number of the cell to draw, for --what cell, scutoid or internal"
     )
     command.add_argument("--unit", choices=UNITS, default="", help="unit of length of the run, for the scale bar")
-    command.add_argument(
-        "--out", type=Path, metavar="FILE", help="picture to write (default: WHAT.png, or movie.gif, in RUN)"
-    )
+    text = "picture to write, a movie as .gif or .mp4 (default: WHAT.png or WHAT.gif in RUN)"
+    command.add_argument("--out", type=Path, metavar="FILE", help=text)
 
 
 def _add_contacts(command: Any, minimum: Any, without: Any) -> None:

@@ -1,11 +1,10 @@
 """The commands that write or draw the tissue of a run."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from jaxtissue.runs.exporting import export_tissue
-from jaxtissue.runs.formats import OF_CELLS, picture_name
+from jaxtissue.runs.formats import IMAGES, MOVIES, OF_CELLS, picture_name
 from jaxtissue.runs.pages import write_page
 from jaxtissue.runs.run_folders import read_tissue
 from jaxtissue.runs.viewing import LOOKED_AT, view_tissue
@@ -15,8 +14,8 @@ from jaxtissue.system.files import check_folder
 def export(arguments: dict[str, Any]) -> int:
     """Write the tissue of a run in the formats of other programs."""
     folder = arguments["out"]
-    if arguments["spacing"] and "ome-tiff" not in arguments["to"]:
-        raise ValueError("--spacing applies to ome-tiff only; add ome-tiff to --to, or leave --spacing out")
+    if arguments["spacing"] and not set(IMAGES) & set(arguments["to"]):
+        raise ValueError(f"--spacing applies to {' and '.join(IMAGES)} only; add one to --to, or leave --spacing out")
     check_folder(folder, arguments["force"])
     tissue = read_tissue(arguments["run"], arguments["unit"])
     spacing = arguments["spacing"] and tuple(arguments["spacing"])
@@ -29,8 +28,9 @@ def view(arguments: dict[str, Any]) -> int:
     """Draw the tissue of a run."""
     what = arguments["what"]
     path = arguments["out"] or arguments["run"] / picture_name(what)
-    if path.suffix != (suffix := Path(picture_name(what)).suffix):
-        raise ValueError(f"--out {path} must end in {suffix}{' for a movie' if what == 'movie' else ''}; rename it")
+    endings = (".gif", ".mp4") if what in MOVIES else (".png",)
+    if path.suffix not in endings:
+        raise ValueError(f"--out {path} must end in {' or '.join(endings)} for --what {what}; rename it")
     if arguments["cell"] is not None and what not in OF_CELLS:
         raise ValueError(f"--cell is for --what {', '.join(OF_CELLS)}, not {what}; leave it out")
     tissue = read_tissue(arguments["run"], arguments["unit"], LOOKED_AT)

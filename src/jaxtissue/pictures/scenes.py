@@ -30,13 +30,13 @@ def shades(cells: int, pairs: Int[np.ndarray, "m 2"]) -> Int[np.ndarray, "n 3"]:
     return palette[spread_colors(cells, pairs)]
 
 
-def draw_tissue(faces: Sequence[Face], colors: Int[np.ndarray, "n 3"], unit: str = "") -> Any:
+def draw_tissue(faces: Sequence[Face], colors: Int[np.ndarray, "n 3"], unit: str | None = "") -> Any:
     """The tissue cut open by planes, so that the lumen and the walls within are seen.
 
     Args:
         faces: Its outside.
         colors: The color of each cell, 8 bits.
-        unit: The unit of lengths, for the scale bar.
+        unit: The unit of lengths, for the scale bar; None for a scene without one.
     """
     pyvista = _start()
     plotter = _plotter(pyvista)
@@ -75,13 +75,15 @@ def draw_bodies(
     chosen = np.ones(meshes.cells, bool)
     if cut:
         chosen = ~((middles[:, 1] < 0) & (middles[:, 2] > 0))
+    middle = (meshes.points.min(axis=0) + meshes.points.max(axis=0)) / 2
     if apart:
-        middle = (meshes.points.min(axis=0) + meshes.points.max(axis=0)) / 2
         for cell in np.flatnonzero(chosen).tolist():
             _add(plotter, pyvista, meshes, _only(meshes, cell), colors, shift=apart * (middles[cell] - middle))
     else:
         _add(plotter, pyvista, meshes, chosen, colors)
-    return _look(plotter, pyvista, meshes.points, unit, (-0.5, -1.0, 0.75), (0.0, 0.0, 1.0))
+    return _look(
+        plotter, pyvista, middle + (1 + apart) * (meshes.points - middle), unit, (-0.5, -1.0, 0.75), (0.0, 0.0, 1.0)
+    )
 
 
 def draw_cells(
@@ -170,7 +172,7 @@ def _look(
     plotter: Any,
     pyvista: Any,
     points: Float[np.ndarray, "p 3"],
-    unit: str,
+    unit: str | None,
     toward: tuple[float, ...],
     up: tuple[float, ...],
 ) -> Any:
@@ -189,8 +191,9 @@ def _look(
         f"{length:g} {unit or ('tube unit' if length == 1 else 'tube units')}",
         max(np.ptp(sink), 1.5 * about),
     )
-    plotter.add_mesh(pyvista.Line(*ends), color="black", line_width=5, lighting=False)
-    plotter.add_point_labels([bar - 0.09 * below * above], [text], font_size=20,
+    if unit is not None:
+        plotter.add_mesh(pyvista.Line(*ends), color="black", line_width=5, lighting=False)
+        plotter.add_point_labels([bar - 0.09 * below * above], [text], font_size=20,
                              bold=False, text_color="black", shape=None, show_points=False, always_visible=True,
                              justification_horizontal="center", justification_vertical="top")  # fmt: skip
     plotter.view_vector(toward, viewup=up)

@@ -15,7 +15,9 @@ from jaxtissue.geometry.domain_positions import as_positions_on, column_names
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.positions import STRAIGHT, Rows
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.runs import layer_tables
 from jaxtissue.runs.centroid_tables import DOUBT, centroid_columns, place_centroids
+from jaxtissue.runs.layer_tables import Layered, join_layers
 from jaxtissue.runs.names import from_field
 from jaxtissue.runs.node_tables import group_nodes, tilted_columns
 
@@ -38,10 +40,7 @@ class BackboneTable(NamedTuple):
 
 
 class _Table(NamedTuple):
-    """A table as it stands: the header, the names of its columns and their units, and rows by line.
-
-    `columns` are those that tell where the cells are.
-    """
+    """A table as it stands: header, names and units of columns, rows by line; `columns` tell where the cells are."""
 
     path: Path
     columns: Sequence[str]
@@ -61,21 +60,19 @@ class _Table(NamedTuple):
 def read_backbones(path: Path, domain: Tube | Domain, degrees: bool = False, bent: bool = False) -> BackboneTable:
     """The backbones of a table with the domain's columns, as `axial` and `angle`, and names of cells if it has any.
 
-    Fields are set apart by commas, semicolons or tabs; with the last two, numbers may have decimal commas.
-    Headers may be in any case and carry units in brackets, such as `axial (um)`. Angles are radians, or with
-    `degrees`, or in a column `angle (deg)`, degrees. They are wrapped, with a warning of those that look like
-    degrees. Names stand in the first of the columns `name`, `cell`, `label`, `id`, and one without a header,
-    that has another name for each cell, or else in the first column of all, if it has. Other columns are left
-    aside. Where a table for a `Tube` has no backbones, but x, y and z of centroids, the backbones through these
-    are taken, with a warning.
+    Fields are set apart by commas, semicolons or tabs; with the last two, numbers may have decimal commas. Headers may
+    be in any case and carry units in brackets, such as `axial (um)`. Angles are radians, or with `degrees`, or in a
+    column `angle (deg)`, degrees. They are wrapped, with a warning of those that look like degrees. Names stand in the
+    first of the columns `name`, `cell`, `label`, `id`, and one without a header, that has another name for each cell,
+    or else in the first column of all, if it has. Other columns are left aside. Where a table for a `Tube` has no
+    backbones, but centroids, also by layer, the backbones through these are taken, with a warning.
 
     With `bent`, backbones may be tilted, with columns for both ends, `apical_axial` and so on, or bent, with a row for
     each node: rows of one `cell` at several values of `height`. Their positions have an axis for nodes.
 
-    Raises `ValueError`, naming file, line, value and fix, for a file that is empty or not UTF-8, a quote that
-    is not closed or swallows rows, a missing column or one that is there twice, lines with fields too many,
-    what is no number, no cells, names that are empty or repeated, degrees for a domain without angles, and
-    positions that `as_positions_on` refuses.
+    Raises `ValueError`, naming file, line, value and fix, for a file that is empty or not UTF-8, a quote that is not
+    closed or swallows rows, missing or repeated columns, lines with fields too many, what is no number, no cells, names
+    that are empty or repeated, degrees for a domain without angles, and positions that `as_positions_on` refuses.
     """
     columns = column_names(domain)
     table = _read_table(path, columns, isinstance(domain, Tube))
@@ -83,12 +80,13 @@ def read_backbones(path: Path, domain: Tube | Domain, degrees: bool = False, ben
     if (tilted or nodes) and not bent:
         raise ValueError(f"{path} has {'tilted' if tilted else 'bent'} backbones: {STRAIGHT}")
     positions = np.stack([_numbers(table, name) for name in table.columns], axis=-1)
-    names = None if nodes else _find_names(table)
+    names = None if nodes or table.columns == layer_tables.COLUMNS else _find_names(table)
+    rows = Rows(f"{path} ", "line", table.lines)
     if table.columns == columns or tilted:
         positions = _in_radians(table, positions, degrees)
     elif isinstance(domain, Tube):
-        positions = _place(table, positions, domain, degrees)
-    rows = Rows(f"{path} ", "line", table.lines)
+        positions, joined = _place(table, positions, domain, degrees)
+        names, rows = (joined.names, rows._replace(numbers=joined.lines)) if joined else (names, rows)
     if tilted:
         positions = positions.reshape(len(positions), 2, -1)
     elif nodes:
@@ -104,10 +102,7 @@ def read_backbones(path: Path, domain: Tube | Domain, degrees: bool = False, ben
 
 def _has_nodes(table: _Table) -> bool:
     """Whether a table has several rows for a cell, each of a height."""
-    if not {"cell", "height"} <= set(table.names):
-        return False
-    cells = table.column("cell")
-    return len(set(cells)) < len(cells)
+    return {"cell", "height"} <= set(table.names) and len(set(table.column("cell"))) < len(table.rows)
 
 
 def _in_radians(table: _Table, positions: np.ndarray, degrees: bool) -> np.ndarray:
@@ -120,19 +115,39 @@ def _in_radians(table: _Table, positions: np.ndarray, degrees: bool) -> np.ndarr
     return positions
 
 
-def _place(table: _Table, points: np.ndarray, tube: Tube, degrees: bool) -> Float[np.ndarray, "n 2"]:
-    """(axial, angle) of backbones through the centroids of a table, with a word of doubt."""
+def _place(table: _Table, points: np.ndarray, tube: Tube, degrees: bool) -> tuple[np.ndarray, Layered | None]:
+    """(axial, angle) of backbones through the centroids of a table, with a word of doubt, and what joins layers."""
     units = {table.units[table.names.index(name)] for name in table.columns}
     if len(units) > 1:
         raise ValueError(f"{table.path} has centroids in several units by its header {table.header!r}; give one")
     if degrees:
         raise ValueError(f"--degrees is for angles, and {table.path} has {', '.join(table.columns)}; leave it out")
+    joined = _join(table) if table.columns == layer_tables.COLUMNS else None
     try:
-        found = place_centroids(points, tube)
+        found = joined.place(tube) if joined else place_centroids(points, tube)
     except ValueError as error:
         raise ValueError(f"{table.path}: {error}") from error
     warnings.warn(f"{table.path} {DOUBT}", stacklevel=3)
-    return found
+    return found, joined
+
+
+def _join(table: _Table) -> Layered:
+    """The cells of a table of centroids on layers."""
+    keys = [[from_field(field.strip()) for field in table.column(name)] for name in ("id", "layer")]
+    points = np.stack([_numbers(table, name) for name in table.columns], axis=-1)
+    try:
+        return join_layers(table.lines, keys[0], keys[1], points)
+    except ValueError as error:
+        raise ValueError(f"{table.path} {error}") from error
+
+
+def find_tube(path: Path) -> Tube | None:
+    """The tube that a table of centroids on layers tells; None for a file that holds no such table."""
+    try:
+        table = _read_table(path, ("axial", "angle"), True)
+    except ValueError:  # told when it is read
+        return None
+    return _join(table).fit_tube() if table.columns == layer_tables.COLUMNS else None
 
 
 def _read_table(path: Path, columns: Sequence[str], centroids: bool) -> _Table:

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.images.frame import Frame, frame_of_axis
+from jaxtissue.runs import layer_tables
 
 Points = Float[np.ndarray, "n 3"]
 COLUMNS = (
@@ -29,9 +30,13 @@ DOUBT = (
 def centroid_columns(names: Sequence[str]) -> tuple[str, ...] | None:
     """The columns of a table that hold x, y and z of centroids, by their names in lower case; None if there are none.
 
+    Of centroids on layers they are radius, x and y.
+
     >>> centroid_columns(["label", "centroid-0", "centroid-1", "centroid-2"])
     ('centroid-2', 'centroid-1', 'centroid-0')
     """
+    if set(layer_tables.NAMES) <= set(names):
+        return layer_tables.COLUMNS
     return next((columns for columns in COLUMNS if set(columns) <= set(names)), None)
 
 

@@ -7,18 +7,19 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from jaxtissue.exports.images import write_ome_tiff
+from jaxtissue.exports.images import Spacing, write_ome_tiff, write_ome_zarr
 from jaxtissue.exports.solids import write_glb, write_solids
 from jaxtissue.exports.tables import tables, write_anndata, write_graphml, write_parquet
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.exports.vtk_files import write_series, write_vtk
 from jaxtissue.runs import storage
+from jaxtissue.runs.formats import IMAGES
 from jaxtissue.runs.reports import printable_columns
 from jaxtissue.system.locks import alone
 
-Writer = Callable[[TissueRecord, Path], list[Path]]
-Spacing = tuple[float, float, float]
+Writer = Callable[..., list[Path]]
 OWN_SUFFIXES = (".vtu", ".ply", ".stl")  # of what exported folders hold; others are not deleted
+OWN_NAMES = ("zarr.json", *map(str, range(10)))  # and what a folder of OME-Zarr holds
 
 
 def _write_csv(tissue: TissueRecord, folder: Path) -> list[Path]:
@@ -33,6 +34,7 @@ def _write_graph(tissue: TissueRecord, folder: Path) -> list[Path]:
 
 WRITERS: dict[str, Writer] = {
     "ome-tiff": partial(write_ome_tiff, spacing=None),
+    "ome-zarr": partial(write_ome_zarr, spacing=None),
     "vtu": write_vtk,
     "pvd": write_series,
     "ply": partial(write_solids, kind="ply"),
@@ -53,9 +55,10 @@ def export_tissue(
     Args:
         tissue: The tissue, for example from `read_tissue`.
         folder: Folder to write to.
-        formats: Names of formats: "ome-tiff", "vtu", "pvd", "ply", "stl", "glb", "graphml", "csv", "parquet" or
-            "anndata".
-        spacing: Sides (dz, dy, dx) of a voxel for "ome-tiff", in length units. Defaults to None.
+        formats: Names of formats: "ome-tiff", "ome-zarr", "vtu", "pvd", "ply", "stl", "glb", "graphml", "csv",
+            "parquet" or "anndata".
+        spacing: Sides (dz, dy, dx) of a voxel for "ome-tiff" and "ome-zarr", in length units. Defaults to None: a
+            tenth of the side of a mean cell.
 
     Returns:
         Paths of the files and folders that were written. Each is written completely or not at all.
@@ -70,12 +73,13 @@ def export_tissue(
 def _export(tissue: TissueRecord, folder: Path, name: str, spacing: Spacing | None) -> list[Path]:
     """Write a tissue in one format."""
     written: list[Path] = []
-    write = partial(write_ome_tiff, spacing=spacing) if name == "ome-tiff" else WRITERS[name]
+    write = partial(WRITERS[name], spacing=spacing) if name in IMAGES else WRITERS[name]
     with tempfile.TemporaryDirectory(dir=folder, prefix=".export.", suffix=".part") as temporary:
         for part in write(tissue, Path(temporary)):
             target = folder / part.name
             if target.is_dir():
-                foreign = [path.name for path in target.iterdir() if path.suffix not in OWN_SUFFIXES]
+                inside = [path.name for path in target.iterdir() if path.suffix not in OWN_SUFFIXES]
+                foreign = [name for name in inside if name not in OWN_NAMES]
                 if foreign or not part.is_dir():
                     raise ValueError(
                         f"{target} holds {foreign[:1] or 'files'}, which no export wrote; take another --out"

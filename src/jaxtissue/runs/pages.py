@@ -27,6 +27,7 @@ CAPTIONS = {
     "bodies.png": "The tissue without a quarter of its cells.",
     "exploded.png": "The cells apart.",
     "movie.gif": "The tissue over the sweeps.",
+    "turntable.gif": "The tissue, cut open, from all round.",
 }
 ROWS = 20  # of the table of cells that are shown
 

@@ -6,10 +6,13 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
+from jaxtissue.diagram.point_location import label_points
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.meshes.cell_meshes import CellMeshes, mesh_cells
+from jaxtissue.meshes.cuts import segments
+from jaxtissue.meshes.straight_edges import straighten
+from jaxtissue.pictures.movies import SMALLER, save_movie, turn_round
 from jaxtissue.pictures.outsides import cut_open
 from jaxtissue.pictures.scenes import draw_bodies, draw_cells, draw_tissue, save, shades
 from jaxtissue.runs import formats
@@ -20,7 +23,7 @@ from jaxtissue.system.extras import optional
 
 LOOKED_AT = 1e-4  # the tolerance of meshes that are only looked at
 CLOSELY = 4e-5  # and of those of a few cells
-_SECONDS = 0.7  # for each picture of a movie
+_SECONDS, _QUICK = 0.7, 0.12  # for each picture of a movie, and of a turntable
 
 
 def view_tissue(tissue: TissueRecord, what: str, path: Path, cell: int | None = None) -> None:
@@ -79,7 +82,12 @@ def _colors(tissue: TissueRecord) -> np.ndarray:
 
 
 def _mesh(tissue: TissueRecord, *cells: int) -> CellMeshes:
-    return mesh_cells(tissue.positions, tissue.tube, CLOSELY, cells)
+    return _straight(tissue, mesh_cells(tissue.positions, tissue.tube, CLOSELY, cells))
+
+
+def _straight(tissue: TissueRecord, meshes: CellMeshes) -> CellMeshes:
+    label = partial(label_points, positions=tissue.positions, tube=tissue.tube)
+    return straighten(meshes, segments(*tissue.ends), label)
 
 
 def _draw_whole(tissue: TissueRecord, path: Path, cell: int | None) -> None:
@@ -87,7 +95,7 @@ def _draw_whole(tissue: TissueRecord, path: Path, cell: int | None) -> None:
 
 
 def _draw_bodies(tissue: TissueRecord, path: Path, cell: int | None, apart: float = 0.0) -> None:
-    save(draw_bodies(tissue.meshes, _colors(tissue), apart=apart, unit=tissue.unit), path)
+    save(draw_bodies(_straight(tissue, tissue.meshes), _colors(tissue), apart=apart, unit=tissue.unit), path)
 
 
 def _draw_cell(tissue: TissueRecord, path: Path, cell: int | None) -> None:
@@ -118,8 +126,10 @@ def _draw_internal(tissue: TissueRecord, path: Path, cell: int | None) -> None:
     both = np.isin(transitions.cells, pair).sum(axis=1) == 2
     around = np.setdiff1d(transitions.cells[both], pair)
     shown = pair.tolist(), around.tolist()
-    meshes = _mesh(tissue, *shown[0], *shown[1])
-    save(draw_cells(meshes, _colors(tissue), *shown, transitions.points[both], tissue.unit), path)
+    meshes, colors = _mesh(tissue, *shown[0], *shown[1]), _colors(tissue)
+    if (colors[pair[0]] == colors[pair[1]]).all():  # where eight colors do not suffice
+        colors[pair[1]] = next(color for color in colors if (color != colors[pair[0]]).any())
+    save(draw_cells(meshes, colors, *shown, transitions.points[both], tissue.unit), path)
 
 
 def _draw_surfaces(tissue: TissueRecord, path: Path, cell: int | None) -> None:
@@ -134,9 +144,15 @@ def _draw_movie(tissue: TissueRecord, path: Path, cell: int | None) -> None:
     colors, frames = _colors(tissue), []
     for _, positions in sorted(tissue.history.items()):
         plotter = draw_tissue(cut_open(positions, tissue.tube), colors, tissue.unit)
-        frames.append(Image.fromarray(plotter.screenshot(return_img=True)).convert("P", palette=Image.Palette.ADAPTIVE))
+        frames.append(plotter.screenshot(return_img=True))
         plotter.close()
-    frames[0].save(path, "GIF", save_all=True, append_images=frames[1:], duration=round(1000 * _SECONDS), loop=0)
+    save_movie(frames, path, _SECONDS)
+
+
+def _draw_turntable(tissue: TissueRecord, path: Path, cell: int | None) -> None:
+    plotter = draw_tissue(cut_open(tissue.positions, tissue.tube), _colors(tissue), None)
+    save_movie(list(turn_round(plotter)), path, _QUICK, SMALLER)
+    plotter.close()
 
 
 VIEWS: dict[str, Callable[[TissueRecord, Path, int | None], None]] = {
@@ -148,4 +164,5 @@ VIEWS: dict[str, Callable[[TissueRecord, Path, int | None], None]] = {
     "internal": _draw_internal,
     "surfaces": _draw_surfaces,
     "movie": _draw_movie,
+    "turntable": _draw_turntable,
 }
