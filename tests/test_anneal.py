@@ -130,7 +130,7 @@ def test_energy_falls_and_nothing_is_compiled_after_the_first_span(start) -> Non
         assert row.drift < 1e-5  # float32
 
 
-@pytest.mark.filterwarnings("ignore:backbones .* too near each other")
+@pytest.mark.filterwarnings("ignore:backbones .* too close to each other")
 def test_places_too_coarse_for_the_moves_are_told() -> None:
     tube = Tube(200_000.0, 1.0, 10.0)  # as of a million cells
     run = Annealer(tube_model(tube, 10**6), PRESETS["draft"], "is-mh", 0, constant_schedule(1.0, 1))

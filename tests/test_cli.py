@@ -465,9 +465,9 @@ BAD_ARGUMENTS = [
     ("anneal --out {}/o --backbones {}/absent.csv", "absent.csv can't be read"),
     ("anneal --out {}/o --backbones {}/twins.csv", "lines 2 and 3"),
     ("anneal --out {}/o --resume", "no checkpoint"),
-    ("anneal --out {}", "exists"),
-    ("anneal --out {}/good.csv --force", "good.csv exists"),
-    ("anneal --out {}/good.csv/o", "can't be written"),
+    ("anneal --out {}", "is not empty"),
+    ("anneal --out {}/good.csv --force", "good.csv is a file"),
+    ("anneal --out {}/good.csv/o", "is not writable"),
     ("anneal", "--out"),
     ("anneal --out {}/o --speed 3", "--speed"),
     ("melt", "'melt'"),
@@ -476,7 +476,7 @@ BAD_ARGUMENTS = [
     ("measure {}/good.csv --length 3 --apical-radius 2 --basal-radius 4 --out {}/o", "axial=5.0"),
     ("measure {}/latin.csv --length 12 --apical-radius 2 --basal-radius 4 --out {}/o", "not UTF-8"),
     ("measure {} --length 12 --apical-radius 2 --basal-radius 4 --out {}/o", "can't be read"),
-    ("measure {}/good.csv --length 12 --apical-radius 2 --basal-radius 4 --out {}", "exists"),
+    ("measure {}/good.csv --length 12 --apical-radius 2 --basal-radius 4 --out {}", "is not empty"),
     ("compare {}/good.csv --length 12 --apical-radius 2 --basal-radius 4 --samples 1", "--samples: 1"),
 ]
 

@@ -37,7 +37,7 @@ def test_a_domain_reads_back_to_the_bit(tmp_path, tube):
 
 
 def test_only_domains_are_written(tmp_path):
-    with pytest.raises(ValueError, match="a dict can't be written; give a domain: tube"):
+    with pytest.raises(ValueError, match="a dict cannot be written to a file; give one of the shapes tube"):
         save_domain(SIZES, tmp_path / "domain.json")
     assert not list(tmp_path.iterdir())
 
@@ -45,22 +45,34 @@ def test_only_domains_are_written(tmp_path):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("", "not JSON"),
-        ("\xff", "not JSON"),
+        ("", "not valid JSON"),
+        ("\xff", "not valid JSON"),
         ("[1, 2]", "no JSON object"),
-        ("{}", 'add "shape", one of tube'),
+        ("{}", '"shape" is missing; add it, with one of the values tube'),
         (json.dumps(SIZES | {"shape": "cone"}), "shape='cone' is unknown; give one of tube"),
         (json.dumps(SIZES | {"shape": ["tube"]}), "is unknown"),
-        (json.dumps(SIZES | {"width": 3}), "'width' is no size of a tube"),
-        ('{"shape": "tube", "length": 12, "apical_radius": 2}', "the tube has no basal_radius; add it"),
+        (json.dumps(SIZES | {"width": 3}), "'width' is not a size of the shape 'tube'"),
+        (
+            '{"shape": "tube", "length": 12, "apical_radius": 2}',
+            "the size 'basal_radius' of the shape 'tube' is missing; add it",
+        ),
         ('{"shape": "tube", "length": 1, "length": 2}', "'length' is given twice"),
-        (json.dumps(SIZES | {"length": float("nan")}), "length=NaN of the tube: give a finite number"),
-        (json.dumps(SIZES | {"length": "12"}), 'length="12" of the tube: give a finite number'),
-        (json.dumps(SIZES | {"length": True}), "length=true of the tube: give a finite number"),
-        (json.dumps(SIZES | {"length": 10**400}), "give a finite number"),
+        (
+            json.dumps(SIZES | {"length": float("nan")}),
+            "length=NaN of the shape 'tube' is invalid; it must be a finite number",
+        ),
+        (
+            json.dumps(SIZES | {"length": "12"}),
+            "length=\"12\" of the shape 'tube' is invalid; it must be a finite number",
+        ),
+        (
+            json.dumps(SIZES | {"length": True}),
+            "length=true of the shape 'tube' is invalid; it must be a finite number",
+        ),
+        (json.dumps(SIZES | {"length": 10**400}), "it must be a finite number"),
         (json.dumps(SIZES | {"length": -1}), "length=-1.0 is not a positive finite number"),
-        (json.dumps(SIZES | {"basal_radius": 1}), "apical_radius=2.0 is not below basal_radius=1.0"),
-        (json.dumps(SIZES | {"periodic": 0}), "periodic=0 of the tube: give true or false"),
+        (json.dumps(SIZES | {"basal_radius": 1}), "apical_radius=2.0 is not smaller than basal_radius=1.0"),
+        (json.dumps(SIZES | {"periodic": 0}), "periodic=0 of the shape 'tube' is invalid; it must be true or false"),
     ],
 )
 def test_what_is_no_domain_is_refused_in_one_line(tmp_path, text, told):
@@ -73,7 +85,7 @@ def test_what_is_no_domain_is_refused_in_one_line(tmp_path, text, told):
 
 def test_lists_of_sizes_are_read():
     assert several(2, number)([1, 2.5]) == (1.0, 2.5) and several(1, flag)([True]) == (True,)
-    with pytest.raises(ValueError, match="give a list of 2"):
+    with pytest.raises(ValueError, match="it must be a list of 2 values"):
         several(2, number)([1])
     assert read_domain(SIZES | {"periodic": False}) == jt.Tube(12, 2, 4)
 
@@ -121,7 +133,7 @@ def test_every_shape_is_written_and_read_with_its_backbones(tmp_path, domain):
     assert type(again) is type(domain)
     assert getattr(again.base, "directions", None) == getattr(domain.base, "directions", None)
     assert again.volume == pytest.approx(domain.volume, rel=1e-12)
-    with pytest.raises(ValueError, match="only a tube with ends can be taken here"):
+    with pytest.raises(ValueError, match="is not a tube with ends"):
         load_tube(tmp_path / "domain.json")
     place, table = np.random.default_rng(0).uniform(0.1, 0.9, (5, len(domain.columns))), tmp_path / "backbones.csv"
     storage.write_backbones(table, place, list("abcde"), column_names(domain))

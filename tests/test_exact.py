@@ -180,7 +180,7 @@ def test_cells_far_along_a_long_tube(length: float, tolerance: float) -> None:
 
 def test_tubes_too_long_for_qhull_are_refused() -> None:
     positions = random_positions(30) + np.array([70_000.0, 0.0])
-    with pytest.raises(ValueError, match=r"length=100000.0 is 3.33e\+04 basal radii; .* 10000 at most"):
+    with pytest.raises(ValueError, match=r"length=100000.0 is 3.33e\+04 times basal_radius; .* at most 10000 basal radii"):
         exact_cells(positions, Tube(1e5, 1.0, 3.0))
 
 
@@ -215,7 +215,7 @@ def test_close_pair_shares_one_cell(shift: tuple[float, float]) -> None:
         ([[1.0, np.inf]], 50, "backbone 0"),
         ([1.0, 0.5], 50, r"shape \(2,\)"),
         (np.zeros((0, 2)), 50, r"shape \(0, 2\)"),
-        ([[1.0, 0.5]], 1, "samples = 1"),
+        ([[1.0, 0.5]], 1, "samples=1"),
     ],
 )
 def test_bad_input(positions, samples: int, message: str) -> None:

@@ -222,8 +222,8 @@ def test_the_command_exports_what_measure_left(tmp_path, positions, capsys):
     ("arguments", "told"),
     [
         (["--to", "pdf"], "argument --to: invalid choice: 'pdf'"),
-        (["--to", "ome-tiff", "--spacing", "1e-5", "1", "1e-5"], "e+12 voxels; give a larger one"),
-        (["--to", "pvd"], "pvd needs the sweeps of a run"),
+        (["--to", "ome-tiff", "--spacing", "1e-5", "1", "1e-5"], "e+12 voxels, too many; use a larger spacing"),
+        (["--to", "pvd"], "pvd needs the stored sweeps of a run"),
         (["--to", "csv", "--spacing", "1", "1", "1"], "--spacing applies to ome-tiff and ome-zarr only"),
     ],
 )

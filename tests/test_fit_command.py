@@ -66,18 +66,18 @@ def test_files_tell_the_size_of_their_voxels(tmp_path, image):
 
 
 BAD = {
-    "plain.tif": (lambda image: image, "no size of its voxels; give --spacing Z Y X"),
-    "flat.tif": (lambda image: image[9], "no size of its voxels"),
+    "plain.tif": (lambda image: image, "does not contain its voxel size; give --spacing Z Y X"),
+    "flat.tif": (lambda image: image[9], "does not contain its voxel size"),
     "flat.npy": (lambda image: image[9], "2 dimensions"),
     "float.npy": (lambda image: image.astype(float), "float64"),
     "negative.npy": (lambda image: -image.astype(int), "the label -120"),
-    "mask.npy": (lambda image: (image > 0).astype(np.uint8), "one label only, 1"),
+    "mask.npy": (lambda image: (image > 0).astype(np.uint8), "only one label, 1"),
     "rgb.tif": (lambda image: np.stack([image[9].astype(np.uint8)] * 3, axis=-1), "colors"),
     "channels.ome.tif": (lambda image: np.stack([image] * 2), "2 channels"),
     "times.ome.tif": (lambda image: np.stack([image] * 2), "2 time points"),
     "broken.tif": (None, "can't be read"),
     "none.npy": (None, "can't be read"),
-    "labels.png": (None, "give one of .tif, .tiff, .npy"),
+    "labels.png": (None, "ends in .tif, .tiff, .npy"),
 }
 
 

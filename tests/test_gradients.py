@@ -69,7 +69,7 @@ def test_the_energy_is_that_of_the_measured_cells(start):
     assert jt.relax(start, model, steps=0).energy == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.filterwarnings("ignore:backbones .* too near each other")
+@pytest.mark.filterwarnings("ignore:backbones .* too close to each other")
 @pytest.mark.parametrize("name", ["n1", "duplicate_x", "near_coincident"])
 def test_gradients_are_finite_on_every_reference_tube(name: str):
     ref = read_reference(name)

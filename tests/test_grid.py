@@ -197,7 +197,7 @@ def test_contacts_can_be_left_out_and_force_begins_anew(tmp_path, capsys) -> Non
 
 BAD_ARGUMENTS = [
     ("", "--out"),
-    ("--out {}", "exists"),
+    ("--out {}", "is not empty"),
     ("--out {}/o --ratio 1", "--ratio: 1"),
     ("--out {}/o --ratio 2 --apical-radius 1", "leave one out"),
     ("--out {}/o --apical-radius 1 10", "apical_radius=10.0"),
@@ -216,7 +216,7 @@ BAD_ARGUMENTS = [
     ("--out {}/o --process 1/2", "--distributed"),
     ("--out {}/o --distributed --process 1/2", "--coordinator"),
     ("--out {}/o --minimum-contact 0.1 --no-contacts", "needs contacts"),
-    ("--out {}/good.csv/o", "can't be written"),
+    ("--out {}/good.csv/o", "is not writable"),
 ]
 
 

@@ -169,13 +169,13 @@ def test_lines_and_specks_are_filled(drawn):
         (np.ones((4, 4, 4)), (1, 1, 1), "float64"),
         (np.ones((4, 4, 4), bool), (1, 1, 1), "mask"),
         (np.full((4, 4, 4), -1), (1, 1, 1), "the label -1"),
-        (np.zeros((4, 4, 4), int), (1, 1, 1), "no label but 0"),
+        (np.zeros((4, 4, 4), int), (1, 1, 1), "only the label 0"),
         (np.ones((0, 4, 4), int), (1, 1, 1), "no voxels"),
         (np.ones((4, 4, 4), int), (1, 1), "three sides"),
         (np.ones((4, 4, 4), int), 1, "three sides"),
         (np.ones((4, 4, 4), int), (1, 0, 1), "above 0"),
         (np.ones((4, 4, 4), int), (1, "x", 1), "three sides"),
-        (np.ones((4, 4, 4), int), (1, 1, 1), "one label only, 1"),
+        (np.ones((4, 4, 4), int), (1, 1, 1), "only one label, 1"),
     ],
 )
 def test_bad_images_are_refused(image, spacing, told):
@@ -186,15 +186,15 @@ def test_bad_images_are_refused(image, spacing, told):
 def test_what_can_not_be_fitted_is_refused_or_doubted():
     block = np.zeros((20, 20, 20), int)
     block[3:17, 3:17, 3:10], block[3:17, 3:17, 10:17] = 1, 2
-    with pytest.raises(ValueError, match="no lumen"):
+    with pytest.raises(ValueError, match="not enclose a lumen"):
         jt.fit_tissue(block, (1, 1, 1))
-    with pytest.raises(ValueError, match="shape='cone' can't be fitted; give one of tube"):
+    with pytest.raises(ValueError, match="shape='cone' can't be fitted; use one of tube"):
         jt.fit_tissue(block, (1, 1, 1), shape="cone")
     with pytest.raises(ValueError, match="threshold=-1"):
         jt.measure_labels(block, (1, 1, 1), threshold=-1)
-    with pytest.raises(ValueError, match="other marks"):
+    with pytest.raises(ValueError, match="values other than 0"):
         jt.measure_labels(block, (1, 1, 1), block * 5)
-    with pytest.raises(ValueError, match="of the image's shape"):
+    with pytest.raises(ValueError, match="in the shape of the image"):
         jt.measure_labels(block, (1, 1, 1), block[:-1])
 
 

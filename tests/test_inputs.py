@@ -109,21 +109,21 @@ BAD = {
     "one row": ([1, 2], r"shape \(2,\)"),
     "three columns": (np.ones((4, 3)), r"shape \(4, 3\)"),
     "columns for rows": (FLOATS.T, r"shape \(2, 6\)"),
-    "frame of other names": (Frame(x=AXIAL, theta=ANGLE), "the columns x, theta; name them axial, angle"),
-    "dictionary of other names": ({"axial": AXIAL}, "the columns axial; name them axial, angle"),
-    "ragged": ([[1, 2], [3]], "not real numbers"),
-    "text": ([["1", "2"]], "not real numbers .*<U1"),
-    "text among objects": (np.array([["1", 2]], object), "not real numbers .*type str"),
-    "complex": (np.array([[1j, 2]]), "not real numbers .*complex128"),
-    "truth": (np.array([[True, False]]), "not real numbers .*bool"),
-    "truth among objects": (np.array([[True, 2]], object), "not real numbers .*bool"),
-    "nothing": (None, "not real numbers"),
-    "missing": ([[1, None]], "not real numbers"),
-    "dates": (np.array([["2020-01-01", "2021-01-01"]], "M8[D]"), "not real numbers .*datetime64"),
+    "frame of other names": (Frame(x=AXIAL, theta=ANGLE), "the columns x, theta; rename the columns to axial, angle"),
+    "dictionary of other names": ({"axial": AXIAL}, "the columns axial; rename the columns to axial, angle"),
+    "ragged": ([[1, 2], [3]], "must be real numbers"),
+    "text": ([["1", "2"]], "must be real numbers .*<U1"),
+    "text among objects": (np.array([["1", 2]], object), "must be real numbers .*type str"),
+    "complex": (np.array([[1j, 2]]), "must be real numbers .*complex128"),
+    "truth": (np.array([[True, False]]), "must be real numbers .*bool"),
+    "truth among objects": (np.array([[True, 2]], object), "must be real numbers .*bool"),
+    "nothing": (None, "must be real numbers"),
+    "missing": ([[1, None]], "must be real numbers"),
+    "dates": (np.array([["2020-01-01", "2021-01-01"]], "M8[D]"), "must be real numbers .*datetime64"),
     "masked": (np.ma.masked_array([[1.0, 2.0]], [[True, False]]), "some are masked"),
     "not a number": ([[5, 1], [NAN, 2]], "backbone 1: axial=nan is not a finite number"),
     "infinite": ([[5, math.inf]], "backbone 0: angle=inf is not a finite number"),
-    "beyond": ([[5, 1], [25, 2]], r"backbone 1: axial=25.0 is outside the tube; give 0 to 20.0"),
+    "beyond": ([[5, 1], [25, 2]], r"backbone 1: axial=25.0 is outside the tube; give a value from 0 to 20.0"),
     "before": ([[-0.1, 1]], "backbone 0: axial=-0.1 is outside"),
     "twins": ([[5, 1], [5, 1], [15, 2]], "backbones 0 and 1 are the same backbone, axial=5.0, angle=1.0"),
     "twins a turn apart": ([[15, 2], [5, 1], [5, 1 + 2 * math.pi]], "backbones 1 and 2 are the same"),
@@ -186,7 +186,7 @@ def test_backbones_too_near_for_float32():
     with pytest.raises(ValueError, match=r"same backbone, .*--x64"):
         jt.measure_tissue([*others, [5, 1 + 1e-7]], TUBE, refine=False)
     near = np.array([*others, [5 + 1e-6, 1 + 1e-6]])
-    with pytest.warns(UserWarning, match=r"backbones 0 and 5 are too near .* float32: .*--x64"):
+    with pytest.warns(UserWarning, match=r"backbones 0 and 5 are too close .* float32: .*--x64"):
         jt.measure_tissue(near, TUBE, "draft", surfaces=False, refine=False)
     with jax.enable_x64(True), warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -208,7 +208,7 @@ def test_backbones_near_enough_to_measure_bring_no_warning():
 
 def test_places_that_float32_moves_by_much_of_their_distance_are_told():
     tube = jt.Tube(1e5, 1, 3)
-    with pytest.warns(UserWarning, match=r"backbones 0 and 1 are too near .*--x64"):
+    with pytest.warns(UserWarning, match=r"backbones 0 and 1 are too close .*--x64"):
         as_positions([[70_000.001, 0], [70_000.02, 0.001]], tube)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -246,8 +246,8 @@ def test_sizes_of_tubes_are_floats(sizes):
         ((4e-19, 1e-20, 1e-19), "length=4e-19 is out of the range of float32, .*--x64"),
         ((1e12, 1, 3), "length=1000000000000.0 is out of the range of float32, .*--x64"),
         ((1e200, 1, 3), r"range of float32, [^x]*$"),
-        ((20, 1, 1 + 1e-8), "too near to tell apart in float32; use 64 bits"),
-        ((20, 3, 1), "apical_radius=3.0 is not below basal_radius=1.0"),
+        ((20, 1, 1 + 1e-8), "too close to be distinguished in float32; use 64 bits"),
+        ((20, 3, 1), "apical_radius=3.0 is not smaller than basal_radius=1.0"),
     ],
 )
 def test_sizes_that_make_no_tube_are_refused(sizes, words):

@@ -93,7 +93,7 @@ BAD_FILES = {
     "axial,angle\ninf,2\n": "line 2: axial='inf'",
     "axial,angle\n1,two\n": "line 2: angle='two'",
     "axial,angle\n1,2\n\n1\n": "line 4: angle=''",
-    "axial,angle\n-0.5,2\n": "line 2: axial=-0.5 is outside the tube; give 0 to 100.0",
+    "axial,angle\n-0.5,2\n": "line 2: axial=-0.5 is outside the tube; give a value from 0 to 100.0",
     "axial,angle\n100.5,2\n": "axial=100.5",
     "axial,angle\n5,1\n6,1\n5,1\n": "lines 2 and 4 are the same backbone, axial=5.0, angle=1.0",
     f"axial,angle\n5,1\n5,{1 + 6 * math.pi!r}\n": "lines 2 and 3",
@@ -181,7 +181,7 @@ def test_a_full_disk_names_the_file(tmp_path, checkpoint, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match=r"No space left on device, writing .*checkpoint\.npz"):
+    with pytest.raises(OSError, match=r"No space left on device, while writing .*checkpoint\.npz"):
         storage.save_checkpoint(tmp_path / "checkpoint.npz", checkpoint)
     assert not list(tmp_path.iterdir())
 
@@ -235,8 +235,8 @@ def test_folders_are_refused_before_anything_is_written(tmp_path):
     (tmp_path / "file").touch()
     for folder, force, problem in [
         (tmp_path, False, "add --force"),
-        (tmp_path / "file", True, "exists"),
-        (tmp_path / "file" / "inside", True, "can't be written"),
+        (tmp_path / "file", True, "is a file"),
+        (tmp_path / "file" / "inside", True, "is not writable"),
     ]:
         with pytest.raises(ValueError, match=problem):
             check_folder(folder, force)

@@ -48,7 +48,7 @@ def test_a_tube_has_what_tracing_finds(name):
     np.testing.assert_allclose(found.stretch_anisotropy, ends[1] / ends[0], rtol=1e-9)
 
 
-@pytest.mark.filterwarnings("ignore:the areas of .* walls may be off")
+@pytest.mark.filterwarnings("ignore:the areas of .* walls may be wrong")
 def test_transition_points_have_four_nearest_backbones():
     positions = random_positions(BENT, 60)
     found = jt.find_connectivity(positions, BENT)
@@ -102,7 +102,7 @@ def test_lattices_touch_side_by_side_only():
 
 def test_walls_with_large_errors_are_named(monkeypatch):
     monkeypatch.setattr(domain_connectivity, "DOUBTED", 1e-6)
-    with pytest.warns(UserWarning, match=r"areas of \d+ of \d+ walls may be off .* between cells \d+-\d+ \("):
+    with pytest.warns(UserWarning, match=r"areas of \d+ of \d+ walls may be wrong .* between cells \d+-\d+ \("):
         jt.find_connectivity(random_positions(BENT, 60), BENT)
 
 
@@ -114,7 +114,7 @@ def test_walls_with_large_errors_are_named(monkeypatch):
         (jt.Shell(lambda n: n * jnp.array([1.5, 1.0, 1.0]), lambda n: n * 1.9), 2),
     ],
 )
-@pytest.mark.filterwarnings("ignore:the areas of .* walls may be off")
+@pytest.mark.filterwarnings("ignore:the areas of .* walls may be wrong")
 def test_closed_shapes_have_the_degree_of_their_euler_number(domain, euler):
     """6 - 6 euler / n on each surface, and more neighbors in all by half of the transitions."""
     positions = random_positions(domain, 60)
@@ -131,5 +131,5 @@ def test_closed_shapes_have_the_degree_of_their_euler_number(domain, euler):
 
 
 def test_cells_that_go_round_are_refused():
-    with pytest.raises(ValueError, match="goes all the way round"):
+    with pytest.raises(ValueError, match="wraps around"):
         jt.find_connectivity([[2, 0], [8, 0]], jt.RoundTube(10, 1, 2))

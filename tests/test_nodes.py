@@ -103,11 +103,15 @@ def test_tilted_cells_are_those_of_the_exact_path(tilted):
 @pytest.mark.parametrize(
     ("positions", "domain", "told"),
     [
-        ([[[1, 1]]], SLAB, r"give \(x, y\) of k nodes"),
+        ([[[1, 1]]], SLAB, r"give \(x, y\) for k >= 2 nodes"),
         ([[[1, 1], [1, np.nan]]], SLAB, r"backbone 0 \(node 1\): y=nan"),
         ([[[1, 1], [7, 1]]], jt.Slab(4, 3, 2), r"backbone 0 \(node 1\): x=7.0 is outside"),
-        ([[[1, 1, 0], [1, 2, 0.5]]], SLAB, r"backbone 0 \(node 0\): nodes at heights 0, 0.5; let them rise"),
-        ([[[1, 1], [2, 2]], [[3, 1], [2, 2]]], SLAB, r"backbones 0 \(node 1\) and 1 \(node 1\) meet at 2, 2"),
+        ([[[1, 1, 0], [1, 2, 0.5]]], SLAB, r"backbone 0 \(node 0\): the node heights 0, 0.5 do not increase"),
+        (
+            [[[1, 1], [2, 2]], [[3, 1], [2, 2]]],
+            SLAB,
+            r"backbones 0 \(node 1\) and 1 \(node 1\) have the same position, 2, 2",
+        ),
     ],
 )
 def test_wrong_nodes_are_refused(positions, domain, told):

@@ -111,7 +111,7 @@ REFUSED = {
     "position along the axis,angle around the axis,the name of the cell,its type,its area\n": (
         "'position along the axis,angle around the axis,the name of the cell,its type,its area'"
     ),
-    "axial,angle\n1,0.5\n25,1\n": "line 3: axial=25.0 is outside the tube; give 0 to 20.0",
+    "axial,angle\n1,0.5\n25,1\n": "line 3: axial=25.0 is outside the tube; give a value from 0 to 20.0",
     "axial,angle\n\n1,0.5\n1,0.5\n": "lines 3 and 4 are the same backbone",
     "name,axial,angle\na,1,0.5\na,2,0.5\n": "line 3: name='a' is also on line 2",
 }

@@ -105,7 +105,7 @@ def test_what_can_not_be_traced_is_measured_by_rules_and_said_to_be_doubtful(mon
     with pytest.warns(UserWarning) as told:
         cells = measure_tissue(ref.positions, ref.tube, tolerance=1e-3)
     said = [str(warning.message) for warning in told]
-    assert any("lateral area of" in text and "may be off by more than 0.1 %" in text for text in said)
+    assert any("lateral area of" in text and "may be wrong by more than 0.1 %" in text for text in said)
     off = errors(cells, ref.data["V"], ref.data["lateral"])
     assert 1e-5 < off.max() < LIMITS[1]
 

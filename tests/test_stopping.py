@@ -77,7 +77,7 @@ def test_a_cache_that_others_can_write_is_not_used(tmp_path, monkeypatch, mode: 
     try:
         jax.config.update("jax_compilation_cache_dir", str(folder))
         if mode & 0o022:
-            with pytest.warns(UserWarning, match=f"others can write to {folder}"):
+            with pytest.warns(UserWarning, match=f"other users can write to {folder}"):
                 keep_compiled()
         else:
             keep_compiled()

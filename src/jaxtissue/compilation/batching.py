@@ -141,7 +141,7 @@ def keep_compiled() -> None:
     folder = Path(config.jax_compilation_cache_dir)
     if not _is_private(folder):
         jax.config.update("jax_compilation_cache_dir", None)
-        told = f"others can write to {folder}, so what is compiled is neither kept nor taken from there"
+        told = f"other users can write to {folder}, so compiled programs are neither stored there nor loaded from there"
         warnings.warn(f"{told}; remove the folder", stacklevel=2)
 
 

@@ -23,7 +23,7 @@ def turn_off_wrong_sums() -> None:
         return
     os.environ["XLA_FLAGS"] = f"{flags} --{OPTION}=".strip()
     if _has_started():
-        cure = f"import jaxtissue first, or set XLA_FLAGS=--{OPTION}="
+        cure = f"import jaxtissue before using JAX, or set XLA_FLAGS=--{OPTION}="
         told = f"jaxlib {version('jaxlib')} may compute wrong sums on CPUs, and JAX has already started"
         warnings.warn(f"{told}; {cure}", stacklevel=3)
 

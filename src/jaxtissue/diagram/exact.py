@@ -103,7 +103,7 @@ def exact_cells(positions: ArrayLike, domain: Tube | Domain, samples: int = 50) 
     ([[0, 1], [1, 2]], True)
     """
     if samples < 2:
-        raise ValueError(f"samples = {samples}: a backbone needs its two ends, give samples >= 2")
+        raise ValueError(f"samples={samples} is too small; give at least 2, the two ends of a backbone")
     domain = domain_of(domain, positions)
     if isinstance(domain, Domain):
         parts, place = max(2, round(samples / A_LAYER)), as_domain_positions(positions, domain, np.float64, bent=True)
@@ -111,8 +111,8 @@ def exact_cells(positions: ArrayLike, domain: Tube | Domain, samples: int = 50) 
     tube = domain
     radii = float(tube.length / tube.basal_radius)
     if radii > LONGEST:
-        message = f"length={tube.length} is {radii:.3g} basal radii; the exact path takes {LONGEST:.0f} at most"
-        raise ValueError(f"{message}: cut the tube into shorter ones")
+        message = f"length={tube.length} is {radii:.3g} times basal_radius"
+        raise ValueError(f"{message}; give a tube of at most {LONGEST:.0f} basal radii, where Qhull is precise enough")
     half, apical, basal = float(tube.length) / 2, float(tube.apical_radius), float(tube.basal_radius)
     positions = as_positions(positions, tube, np.float64)
     backbones = _backbones(positions, half, apical, basal)
@@ -156,7 +156,7 @@ def _backbones(positions: ArrayLike, half: float, apical: float, basal: float) -
     ends = np.concatenate([axial[:, None], apical * direction], axis=1)
     closest = 1e-9 * max(half, basal)  # below, Qhull merges them
     for i, j in sorted(KDTree(ends).query_pairs(closest)):
-        raise ValueError(f"backbones {i} and {j} coincide (closer than {closest:.1e}): move one of them")
+        raise ValueError(f"backbones {i} and {j} coincide (they are closer than {closest:.1e}); move one of them")
     return _Backbones(axial - half, direction, apical, basal)
 
 
@@ -232,7 +232,8 @@ def _require_filled(volume: Float64[np.ndarray, " n"], tube: Tube) -> None:
     """Raise `ValueError` where the volumes do not add up to the tube's."""
     filled = float(volume.sum() / tube.volume)
     if not abs(filled - 1) < UNFILLED:
-        raise ValueError(f"the volumes add up to {filled:.9g} of the tube's; take other samples or backbones")
+        told = f"the cell volumes add up to {filled:.9g} times the volume of the tube"
+        raise ValueError(f"{told}; change the number of samples, or move backbones that nearly coincide apart")
 
 
 def _patches_at(end: float, facets: _Facets, clip: Clip) -> Float64[np.ndarray, " f"]:

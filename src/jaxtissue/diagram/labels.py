@@ -55,7 +55,7 @@ def nearest_backbones(
     """
     cells = backbones.apical.shape[0]
     if not 1 <= count <= cells:
-        raise ValueError(f"count={count} is not between 1 and the {cells} backbones; change count")
+        raise ValueError(f"count={count} is not between 1 and the number of backbones, {cells}; change count")
     total = points.shape[0]
     block = max(1, min(block, total))
     blocks = -(-total // block)
@@ -120,7 +120,7 @@ def label_image(
     positions = as_positions(positions, tube, sizes=False)
     cells = positions.shape[0]
     if cells >= 2**16:
-        raise ValueError(f"{cells} cells do not fit 16-bit labels; draw at most {2**16 - 1}")
+        raise ValueError(f"{cells} cells are too many for 16-bit labels; use at most {2**16 - 1} cells")
     mask = image_mask(tube, spacing)
     image = np.zeros(mask.shape, np.uint16)
     image[mask] = label_points(cartesian_voxels(tube, spacing)[0], positions, tube) + 1

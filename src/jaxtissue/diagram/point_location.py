@@ -84,7 +84,7 @@ def label_points(
     """
     points = np.asarray(points, np.float64).reshape(-1, 3)
     for i in np.flatnonzero(~np.isfinite(points).all(axis=1)):
-        raise ValueError(f"point {i} at {points[i]} is not finite; give finite x, y and z")
+        raise ValueError(f"point {i}, {points[i]}, is not finite; give finite x, y and z")
     cells, labels = stand(positions, tube), np.empty(len(points), np.int32)
 
     def label_chunk(start: int) -> None:

@@ -90,7 +90,7 @@ def covering_radius(positions: Float[ArrayLike, "n 2"], tube: Tube, tolerance: f
     5.83
     """
     if not tolerance > 0:
-        raise ValueError(f"tolerance={tolerance} is not positive; give the acceptable relative error, such as 4e-4")
+        raise ValueError(f"tolerance={tolerance} is not positive; give the maximum relative error, such as 4e-4")
     cells = stand(positions, tube)
     everyone = Lists(np.arange(len(cells.axial)), np.array([len(cells.axial)]))
     half = np.array([[float(tube.length) / 2], [math.pi * cells.outer]])  # along the axis, and around

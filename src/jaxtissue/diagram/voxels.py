@@ -36,7 +36,9 @@ def cylindrical_voxels(
     ((8, 3), 25.133, 25.133)
     """
     if len(shape) != 3 or min(shape) < 1:
-        raise ValueError(f"shape={shape} contains no voxel; give (axial, radial, angular) counts of at least 1")
+        raise ValueError(
+            f"shape={shape} is not three numbers of voxels; give (axial, radial, angular), each at least 1"
+        )
     dtype = jnp.result_type(tube.length, tube.apical_radius, tube.basal_radius, 0.0)
     middles = [(jnp.arange(count, dtype=dtype) + 0.5) / count for count in shape]
     share_x, share_r, share_t = (m.ravel() for m in jnp.meshgrid(*middles, indexing="ij"))
@@ -95,7 +97,7 @@ def image_mask(tube: Tube, spacing: float | Sequence[float]) -> Bool[np.ndarray,
     sides = np.asarray(spacing, float)
     if sides.shape not in ((), (3,)) or not (np.isfinite(sides).all() and (sides > 0).all()):
         numbers = "not a positive finite number" if sides.ndim == 0 else "not three positive finite numbers"
-        raise ValueError(f"spacing={spacing} is {numbers}; give the width of a voxel")
+        raise ValueError(f"spacing={spacing} is {numbers}; give the side length of the voxels")
     dz, dy, dx = np.broadcast_to(sides, 3).tolist()
     deep, high = (2 * math.ceil(tube.basal_radius / side) for side in (dz, dy))
     across = [(np.arange(count) + 0.5 - count / 2) * side for count, side in ((deep, dz), (high, dy))]
@@ -103,7 +105,7 @@ def image_mask(tube: Tube, spacing: float | Sequence[float]) -> Bool[np.ndarray,
     axial = (np.arange(math.ceil(tube.length / dx)) + 0.5) * dx
     mask = (radius >= tube.apical_radius) & (radius <= tube.basal_radius) & (axial <= tube.length)
     if not mask.any():
-        raise ValueError(f"spacing={spacing} leaves no voxel center in the tissue; give a smaller one")
+        raise ValueError(f"spacing={spacing} is too large: no voxel center lies in the tissue; give a smaller spacing")
     return mask
 
 

@@ -88,7 +88,9 @@ def draw(tissue: TissueRecord, spacing: Spacing | None) -> Drawn:
     across, length = 2 * float(tube.basal_radius), float(tube.length)
     count = np.prod([size / side for size, side in zip((across, across, length), spacing, strict=True)])
     if count > VOXELS:
-        raise ValueError(f"--spacing {' '.join(map(str, spacing))} makes {count:.2g} voxels; give a larger one")
+        raise ValueError(
+            f"--spacing {' '.join(map(str, spacing))} gives {count:.2g} voxels, too many; use a larger spacing"
+        )
     labels = label_image(tissue.positions, tube, spacing)
     deep, high, _ = labels.shape
     dz, dy, dx = spacing

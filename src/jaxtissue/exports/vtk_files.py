@@ -78,7 +78,9 @@ def write_series(tissue: TissueRecord, folder: Path) -> list[Path]:
     """Write run.pvd, a time series of the cells after each stored sweep, and the folder of its meshes."""
     pyvista = optional("pyvista", "viz", "the format pvd")
     if not tissue.history:
-        raise ValueError("the format pvd needs the sweeps of a run that anneal made; leave it out")
+        raise ValueError(
+            "the format pvd needs the stored sweeps of a run of jaxtissue anneal; remove pvd from the formats"
+        )
     (folder / "run").mkdir()
     top = ElementTree.Element("VTKFile", type="Collection", version="0.1")
     collection = ElementTree.SubElement(top, "Collection")

@@ -24,7 +24,7 @@ def check_sizes(domain: Any) -> None:
     for field in fields(domain):
         value = getattr(domain, field.name)
         if field.name == "arc" and not 0 < value <= 2 * np.pi + 1e-6:
-            raise ValueError(f"arc={value} is not an angle above 0 and at most 2 pi; correct it")
+            raise ValueError(f"arc={value} is not an angle in radians above 0 and at most 2 pi; correct it")
         if field.metadata.get("static") or callable(value) or value is None:
             continue
         for leaf in jax.tree.leaves(value):
@@ -33,8 +33,8 @@ def check_sizes(domain: Any) -> None:
             size = np.asarray(leaf)
             least = -np.inf if field.name in SIGNED else 0
             if size.dtype.kind not in "iuf" or not (np.isfinite(size).all() and (size > least).all()):
-                told = "number" if field.name in SIGNED else "positive number"
-                raise ValueError(f"{field.name}={value} is no finite {told}; correct it")
+                told = "finite" if field.name in SIGNED else "positive finite"
+                raise ValueError(f"{field.name}={value} is not a {told} number; correct it")
 
 
 @usual_modes()
@@ -61,17 +61,21 @@ def check_domain(domain: Any) -> None:
     for side, surface in zip(("apical", "basal"), ends, strict=True):
         wrong = np.flatnonzero(~np.isfinite(surface).all(axis=1))
         if len(wrong):
-            raise ValueError(f"the {side} surface is not finite at {where(wrong[0])}; correct its function or sizes")
+            raise ValueError(
+                f"the {side} surface is not finite at {where(wrong[0])}; correct its function or its sizes"
+            )
     thickness = np.linalg.norm(ends[1] - ends[0], axis=1)
     size = np.abs(volume).max()
     at = int(thickness.argmin())
     if not thickness[at] > SINGULAR * thickness.max() or not size > 0:
-        raise ValueError(f"the surfaces touch at {where(at)}; keep them apart")
+        raise ValueError(f"the surfaces touch at {where(at)}; increase the distance between them")
     signs = np.sign(volume) * np.sign(np.median(volume))
     if not (signs * np.abs(volume) > SINGULAR * size).all():
         level, at = np.unravel_index((signs * np.abs(volume)).argmin(), volume.shape)
-        reason = "cross or the tissue folds over itself (thicker than the radius of curvature, or bent too tightly)"
-        raise ValueError(f"the surfaces {reason} at {where(int(at), int(level))}; make it thinner or less curved")
+        reason = "cross, or the tissue folds over itself (thicker than its radius of curvature, or bent too tightly),"
+        raise ValueError(
+            f"the surfaces {reason} at {where(int(at), int(level))}; make the tissue thinner or less curved"
+        )
     if isinstance(domain.base, Rectangle):
         _check_closure(domain)
     _check_apart(domain, place, ends, where)
@@ -99,7 +103,7 @@ def _check_closure(domain: Any) -> None:
         shift = there - here
         off = np.abs(shift - (shift[:1, :1] if direction == "periodic" else 0)).max()
         if not off < 1e-3 * np.ptp(here.reshape(-1, 3), axis=0).max():
-            told = "come back to the same points" if direction == "closed" else "go on as a shifted copy"
+            told = "return to the same points" if direction == "closed" else "repeat as a shifted copy"
             raise ValueError(f"direction {domain.columns[k]} is {direction}, but the surfaces do not {told} after "
                              f"{step[k]:g}; correct the extent or the functions")  # fmt: skip
 
@@ -131,5 +135,5 @@ def _check_apart(domain: Any, place: np.ndarray, ends: np.ndarray, where: Any) -
         wrong = np.flatnonzero(near & (apart > 8 / NODES))
         if len(wrong):
             at, other = int(wrong[0]), int(pairs[wrong[0]])
-            told = f"the {side} surface at {where(at)} lies within the tissue at {where(other)}"
-            raise ValueError(f"{told}; make it thinner or less curved")
+            told = f"the {side} surface at {where(at)} lies inside the tissue at {where(other)}"
+            raise ValueError(f"{told}; make the tissue thinner or less curved")

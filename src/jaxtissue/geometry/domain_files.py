@@ -23,14 +23,14 @@ Reader = Callable[[Any], Any]  # of one size: it raises `ValueError` that says w
 def number(value: Any) -> float:
     """A finite number; `Tube` and other domains say themselves which numbers they take."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
-        raise ValueError("give a finite number")
+        raise ValueError("it must be a finite number")
     return float(value)
 
 
 def flag(value: Any) -> bool:
     """True or false."""
     if not isinstance(value, bool):
-        raise ValueError("give true or false")
+        raise ValueError("it must be true or false")
     return value
 
 
@@ -39,7 +39,7 @@ def several(count: int, reader: Reader) -> Reader:
 
     def read(value: Any) -> tuple[Any, ...]:
         if not isinstance(value, list) or len(value) != count:
-            raise ValueError(f"give a list of {count}")
+            raise ValueError(f"it must be a list of {count} values")
         return tuple(map(reader, value))
 
     return read
@@ -138,23 +138,25 @@ def read_domain(values: Mapping[str, Any]) -> Any:
     """
     sizes = dict(values)
     if "shape" not in sizes:
-        raise ValueError(f'no shape is given; add "shape", one of {", ".join(SHAPES)}')
+        raise ValueError(f'"shape" is missing; add it, with one of the values {", ".join(SHAPES)}')
     name = sizes.pop("shape")
     if not isinstance(name, str) or name not in SHAPES:
         raise ValueError(f"shape={name!r} is unknown; give one of {', '.join(SHAPES)}")
     shape = SHAPES[name]
     for size in sizes:
         if size not in shape.sizes:
-            raise ValueError(f"{size!r} is no size of a {name}; give {', '.join(shape.sizes)}")
+            raise ValueError(f"{size!r} is not a size of the shape {name!r}; its sizes are {', '.join(shape.sizes)}")
     found = dict(shape.defaults)
     for size, read in shape.sizes.items():
         if size in sizes:
             try:
                 found[size] = read(sizes[size])
             except ValueError as error:
-                raise ValueError(f"{size}={json.dumps(sizes[size])} of the {name}: {error}") from None
+                raise ValueError(
+                    f"{size}={json.dumps(sizes[size])} of the shape {name!r} is invalid; {error}"
+                ) from None
         elif size not in found:
-            raise ValueError(f"the {name} has no {size}; add it")
+            raise ValueError(f"the size {size!r} of the shape {name!r} is missing; add it")
     return shape.make(**found)
 
 
@@ -168,15 +170,17 @@ def domain_values(domain: Any) -> dict[str, Any]:
         if type(domain) is shape.kind or (name == "tube" and isinstance(domain, RoundTube)):
             sizes = {size: getattr(domain, size, shape.defaults.get(size)) for size in shape.sizes}
             return {"shape": name} | {size: np.asarray(value).tolist() for size, value in sizes.items()}
-    raise ValueError(f"a {type(domain).__name__} can't be written; give a domain: {', '.join(SHAPES)}")
+    raise ValueError(
+        f"a {type(domain).__name__} cannot be written to a file; give one of the shapes {', '.join(SHAPES)}"
+    )
 
 
 def load_tube(path: str | Path) -> Tube:
     """The tube of a file, for what only tubes have yet. Raises `ValueError` for other domains, as for bad files."""
     domain = load_domain(path)
     if not isinstance(domain, Tube):
-        told = f"{path}: only a tube with ends can be taken here"
-        raise ValueError(f"{told}; measure other domains by measure_tissue in Python")
+        told = f"the domain in {path} is not a tube with ends"
+        raise ValueError(f"{told}; meshes, 3D pictures and exports support no other domain")
     return domain
 
 
@@ -190,11 +194,13 @@ def _read_object(path: Path) -> dict[str, Any]:
     try:
         values = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=_once)
     except OSError as error:
-        raise ValueError(f"it can't be read ({error.strerror}); give the JSON file of a domain") from error
+        raise ValueError(
+            f"the file can't be read ({error.strerror}); give a JSON file that describes a domain"
+        ) from error
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"it is not JSON ({error}); give the JSON file of a domain") from error
+        raise ValueError(f"the file is not valid JSON ({error}); give a JSON file that describes a domain") from error
     if not isinstance(values, dict):
-        raise ValueError('it contains no JSON object; give {"shape": ..., and its sizes}')
+        raise ValueError('the file contains no JSON object; write {"shape": ..., followed by its sizes}')
     return values
 
 
@@ -203,5 +209,5 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     names = [name for name, _ in pairs]
     for name in names:
         if names.count(name) > 1:
-            raise ValueError(f"{name!r} is given twice; leave one out")
+            raise ValueError(f"{name!r} is given twice; remove one of them")
     return dict(pairs)

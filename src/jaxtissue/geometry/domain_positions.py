@@ -74,11 +74,11 @@ def as_domain_positions(
     given = as_numbers(positions, columns)
     if has_nodes(given):
         if not bent:
-            raise ValueError(f"positions of shape {given.shape}: {STRAIGHT}")
+            raise ValueError(f"positions have shape {given.shape}: {STRAIGHT}")
         return _with_nodes(given, domain, dtype, rows)
     if given.ndim != 2 or given.shape[1] != len(columns) or not len(given):
-        wanted = f"give ({', '.join(columns)}) rows, [n, {len(columns)}], n >= 1"
-        raise ValueError(f"positions of shape {given.shape}: {wanted}")
+        wanted = f"give shape [n, {len(columns)}] with n >= 1 and rows ({', '.join(columns)})"
+        raise ValueError(f"positions have shape {given.shape}; {wanted}")
     _refuse_infinite(given, columns, rows)
     place = _within(given, domain, rows)
     rounded = place.astype(np.dtype(jnp.result_type(float) if dtype is None else dtype))
@@ -93,22 +93,25 @@ def _with_nodes(
     columns, (n, k, size) = domain.columns, given.shape
     d = len(columns)
     if not n or k < 2 or size not in (d, d + 1):
-        wanted = f"give ({', '.join(columns)}) of k nodes, [n, k, {d}], k >= 2, or with their heights, [n, k, {d + 1}]"
-        raise ValueError(f"positions of shape {given.shape}: {wanted}")
+        wanted = f"give ({', '.join(columns)}) for k >= 2 nodes per backbone, shape [n, k, {d}]"
+        wanted += f", or also the height of each node, shape [n, k, {d + 1}]"
+        raise ValueError(f"positions have shape {given.shape}; {wanted}")
     nodes = rows.of_nodes(n, k)
     _refuse_infinite(given.reshape(n * k, size), (*columns, "height"), nodes)
     height = heights_of(given, domain)
     falls = (height[:, 0] != 0) | (height[:, -1] != 1) | ~(np.diff(height, axis=1) > 0).all(axis=1)
     for row in np.flatnonzero(falls).tolist():
         told = ", ".join(f"{value:g}" for value in height[row])
-        raise ValueError(f"{nodes.one(row * k)}: nodes at heights {told}; let them rise from 0 to 1")
+        raise ValueError(f"{nodes.one(row * k)}: the node heights {told} do not increase from 0 to 1; correct them")
     place = given.copy()
     place[..., :d] = _within(given[..., :d].reshape(n * k, d), domain, nodes).reshape(n, k, d)
     rounded = place.astype(np.dtype(jnp.result_type(float) if dtype is None else dtype))
     with double_precision():
         points = np.asarray(_embed_nodes(in_doubles(domain), jnp.asarray(rounded, float))).reshape(n * k, 3)
     for i, j in _same(points, rounded.dtype):
-        told = f"meet at {', '.join(f'{v:.7g}' for v in place.reshape(n * k, size)[i])}; move one"
+        told = (
+            f"have the same position, {', '.join(f'{v:.7g}' for v in place.reshape(n * k, size)[i])}; move one of them"
+        )
         raise ValueError(f"{nodes.two(i, j)} {told}")
     return rounded
 
@@ -123,7 +126,9 @@ def _within(given: np.ndarray, domain: Domain, rows: Rows) -> np.ndarray:
     if not isinstance(base, Rectangle):
         size = np.linalg.norm(given, axis=1)
         for row in np.flatnonzero(~(size > SHORT)).tolist():
-            raise ValueError(f"{rows.one(row)}: {tuple(given[row])} has no direction; give a unit vector")
+            raise ValueError(
+                f"{rows.one(row)}: {tuple(given[row])} has no direction because its length is 0; give a unit vector"
+            )
         return place / size[:, None]
     for k, (extent, direction) in enumerate(zip(base.extent, base.directions, strict=True)):
         length = float(extent)
@@ -132,7 +137,7 @@ def _within(given: np.ndarray, domain: Domain, rows: Rows) -> np.ndarray:
             continue
         half = length / 2
         for row in np.flatnonzero(np.abs(given[:, k] - half) > half * (1 + ROUNDING)).tolist():
-            told = f"{domain.columns[k]}={given[row, k]} is outside the tissue; give 0 to {length:g}"
+            told = f"{domain.columns[k]}={given[row, k]} is outside the tissue; give a value from 0 to {length:g}"
             raise ValueError(f"{rows.one(row)}: {told}")
         place[:, k] = np.clip(place[:, k], 0, length)
     return place
@@ -142,7 +147,7 @@ def _refuse_same(place: np.ndarray, domain: Domain, rows: Rows) -> None:
     with double_precision():
         ends = np.asarray(_embed(in_doubles(domain), jnp.asarray(place, float)))
     for i, j in _same(ends, place.dtype):
-        same = f"are the same backbone, {', '.join(f'{v:.7g}' for v in place[i])}; remove one"
+        same = f"are the same backbone, {', '.join(f'{v:.7g}' for v in place[i])}; remove one of them"
         raise ValueError(f"{rows.two(i, j)} {same}" + f" (or {X64})" * (place.dtype == np.float32))
 
 

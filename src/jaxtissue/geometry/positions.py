@@ -92,7 +92,7 @@ def as_positions(
     length, radius = map(float, known)
     half, axial = length / 2, given[:, 0]
     for row in np.flatnonzero(np.abs(axial - half) > half * (1 + ROUNDING)).tolist():
-        raise ValueError(f"{rows.one(row)}: axial={axial[row]} is outside the tube; give 0 to {length}")
+        raise ValueError(f"{rows.one(row)}: axial={axial[row]} is outside the tube; give a value from 0 to {length}")
     angle = given[:, 1]
     turned = np.where(np.abs(angle) > 2 * math.pi, np.mod(angle, 2 * math.pi), angle)  # lest digits be lost
     place = np.stack([np.clip(axial, 0, length), turned], axis=-1)
@@ -107,8 +107,8 @@ def as_positions(
 def require_tube(domain: Any) -> None:
     """Raise `ValueError` for other domains than tubes, where only tubes are known."""
     if not isinstance(domain, Tube):
-        told = f"a {type(domain).__name__} is not taken here yet"
-        raise ValueError(f"{told}; give a Tube, or measure the cells by measure_tissue")
+        told = f"a {type(domain).__name__} is not supported here"
+        raise ValueError(f"{told}; give a Tube, or measure the cells with measure_tissue")
 
 
 def as_numbers(positions: Any, names: tuple[str, ...] = AXES) -> Float[np.ndarray, "..."]:
@@ -128,7 +128,7 @@ def as_numbers(positions: Any, names: tuple[str, ...] = AXES) -> Float[np.ndarra
         return given.astype(float)
     except (TypeError, ValueError, OverflowError) as error:
         reason = " ".join(str(error).split())
-        raise ValueError(f"positions are not real numbers ({reason}); give ({', '.join(names)}) rows") from error
+        raise ValueError(f"positions must be real numbers ({reason}); give rows ({', '.join(names)})") from error
 
 
 def _columns(positions: Any, names: tuple[str, ...]) -> list[str]:
@@ -137,15 +137,15 @@ def _columns(positions: Any, names: tuple[str, ...]) -> list[str]:
     given = positions.keys() if isinstance(positions, Mapping) else fields or getattr(positions, "columns", ())
     known = {name.strip().lower(): name for name in given if isinstance(name, str)}
     if known and not set(names) <= set(known):
-        raise ValueError(f"positions have the columns {', '.join(known)}; name them {', '.join(names)}")
+        raise ValueError(f"positions have the columns {', '.join(known)}; rename the columns to {', '.join(names)}")
     return [known[name] for name in names] if known else []
 
 
 def _check_shape(shape: tuple[int, ...]) -> None:
     if len(shape) == 3:
-        raise ValueError(f"positions of shape {shape}: {STRAIGHT}")
+        raise ValueError(f"positions have shape {shape}: {STRAIGHT}")
     if len(shape) != 2 or shape[1] != 2 or not shape[0]:
-        raise ValueError(f"positions of shape {shape}: give (axial, angle) rows, [n, 2], n >= 1")
+        raise ValueError(f"positions have shape {shape}; give shape [n, 2] with n >= 1 and rows (axial, angle)")
 
 
 class _Near(NamedTuple):
@@ -189,7 +189,7 @@ def _refuse_same(place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n 
     """Raise `ValueError` for two backbones that are one as rounded."""
     limits = np.finfo(rounded.dtype)
     for i, j in near.pairs[near.level & (near.apart <= SAME * float(limits.eps))].tolist():
-        same = f"are the same backbone, axial={place[i, 0]}, angle={place[i, 1]}; remove one"
+        same = f"are the same backbone, axial={place[i, 0]}, angle={place[i, 1]}; remove one of them"
         digits = f" (or {X64} if they differ beyond {limits.precision + 1} digits)"
         raise ValueError(f"{rows.two(i, j)} {same}{digits if rounded.dtype == np.float32 else ''}")
 
@@ -204,8 +204,8 @@ def _warn_of_near(place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n
     if len(told):
         pair = told[near.apart[told].argmin()]
         more = f" (and {len(told) - 1} more pairs)" if len(told) > 1 else ""
-        found = f"{rows.two(first[pair], second[pair])}{more} are too near each other for {rounded.dtype}"
-        warnings.warn(f"{found}: their cells may be off by 1 % and more; {X64}", stacklevel=4)
+        found = f"{rows.two(first[pair], second[pair])}{more} are too close to each other for {rounded.dtype}"
+        warnings.warn(f"{found}: the sizes of their cells may be wrong by 1 % or more; {X64}", stacklevel=4)
 
 
 def as_rows(positions: Any, names: tuple[str, ...], cells: int) -> Any:
@@ -223,9 +223,11 @@ def as_rows(positions: Any, names: tuple[str, ...], cells: int) -> Any:
     elif not jnp.issubdtype(positions.dtype, np.floating) or positions.dtype.itemsize < 4:
         positions = positions.astype(precision)
     if positions.ndim != 2 or positions.shape[1] != len(names):
-        raise ValueError(f"positions of shape {positions.shape}: give ({', '.join(names)}) rows, [n, {len(names)}]")
+        raise ValueError(
+            f"positions have shape {positions.shape}; give shape [n, {len(names)}] with rows ({', '.join(names)})"
+        )
     if len(positions) != cells:
-        raise ValueError(f"{len(positions)} positions for lists of {cells} cells; allocate others")
+        raise ValueError(f"{len(positions)} positions for neighbor lists of {cells} cells; allocate new neighbor lists")
     return positions
 
 
@@ -244,5 +246,5 @@ def check_count(cells: int, domain: Any, mean_volume: Any, within: float = 0.01)
     fitting = float(total) / float(mean_volume)
     if not math.isclose(fitting, cells, rel_tol=1e-5, abs_tol=within):  # sizes may be single precision
         raise ValueError(
-            f"{cells} backbones for a model of {fitting:.6g} cells; make it with tube_model(tube, {cells})"
+            f"{cells} backbones for a model of {fitting:.6g} cells; make the model with tube_model(tube, {cells})"
         )

@@ -58,7 +58,9 @@ class Shell(Shape):
         directions: tuple[str, str] = ("free", "free"),
     ) -> None:
         if not set(directions) <= set(DIRECTIONS):
-            raise ValueError(f"directions={directions!r}; each is one of {', '.join(DIRECTIONS)}")
+            raise ValueError(
+                f"directions={directions!r} is invalid; each direction must be one of {', '.join(DIRECTIONS)}"
+            )
         self.apical = apical
         self.basal = jax.tree_util.Partial(basal) if callable(basal) else as_size(basal)
         self.extent = None if extent is None else (as_size(extent[0]), as_size(extent[1]))

@@ -187,12 +187,12 @@ def _bounds(dtype: DTypeLike) -> tuple[float, float]:
 def _check_nested(inner: np.ndarray, outer: np.ndarray) -> None:
     """Raise `ValueError` for radii that leave no tissue between them, exactly or in the precision of JAX."""
     if not np.all(inner < outer):
-        raise ValueError(f"apical_radius={inner} is not below basal_radius={outer}; swap or change them")
+        raise ValueError(f"apical_radius={inner} is not smaller than basal_radius={outer}; swap or correct them")
     dtype = np.dtype(jnp.result_type(float))
     wall = outer.astype(dtype) - inner.astype(dtype)
     if not np.all(np.abs(wall - (outer - inner)) <= THIN * (outer - inner)):
-        told = f"apical_radius={inner} and basal_radius={outer} are too near to tell apart in {dtype}"
-        raise ValueError(f"{told}; use 64 bits (--x64, jax_enable_x64) or a thicker wall")
+        told = f"apical_radius={inner} and basal_radius={outer} are too close to be distinguished in {dtype}"
+        raise ValueError(f"{told}; use 64 bits (--x64, jax_enable_x64) or make the tissue thicker")
 
 
 @functools.partial(jax.jit, static_argnames="count")

@@ -10,7 +10,7 @@ from jaxtissue.images.label_images import as_labels, as_spacing
 from jaxtissue.system.extras import optional
 
 NAMES = (".tif", ".tiff", ".npy")
-NO_SPACING = "has no size of its voxels; give --spacing Z Y X, the sides of a voxel along z, y and x"
+NO_SPACING = "does not contain its voxel size; give --spacing Z Y X, the sides of a voxel along z, y and x"
 MICROMETERS = ("µm", "μm", "um", "micron", "microns", "micrometer", "\\u00B5m")
 
 
@@ -35,15 +35,15 @@ def read_image(path: Path, spacing: Any = None) -> ImageFile:
     """
     ending = path.suffix.lower()
     if ending not in NAMES:
-        raise ValueError(f"{path} is not an image that can be read; give one of {', '.join(NAMES)}")
+        raise ValueError(f"{path} is not a supported image file; give a file that ends in {', '.join(NAMES)}")
     tifffile: Any = optional("tifffile", "io", "reading TIFF") if ending != ".npy" else None
     try:
         image, told, unit = _read_tiff(tifffile, path) if tifffile else (np.load(path, allow_pickle=False), None, None)
     except OSError as error:
-        raise ValueError(f"{path} can't be read ({error.strerror or error}); give an image of labels") from error
+        raise ValueError(f"{path} can't be read ({error.strerror or error}); give a label image") from error
     except Exception as error:  # a damaged file raises one or another
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(f"{path} can't be read ({reason}); give an image of labels") from error
+        raise ValueError(f"{path} can't be read ({reason}); give a label image") from error
     if spacing is None and told is None:
         raise ValueError(f"{path} {NO_SPACING}")
     try:
@@ -64,11 +64,13 @@ def _read_tiff(tifffile: Any, path: Path) -> tuple[np.ndarray, tuple[float, ...]
         image = image.reshape([image.shape[at] for at in kept])
         axes = "".join(axes[at] for at in kept)
         if "T" in axes and image.ndim > 3:
-            raise ValueError(f"it has {image.shape[axes.index('T')]} time points; save one of them")
+            raise ValueError(f"it has {image.shape[axes.index('T')]} time points; save a single time point")
         if "C" in axes:
-            raise ValueError(f"it has {image.shape[axes.index('C')]} channels; save the one with the labels")
+            raise ValueError(
+                f"it has {image.shape[axes.index('C')]} channels; save only the channel that contains the labels"
+            )
         if "S" in axes:
-            raise ValueError("it has colors; save the labels as numbers, not as a picture")
+            raise ValueError("it is a color image; save the labels as one number per voxel")
         sides, unit = _ome_spacing(tifffile, file) if file.is_ome else _imagej_spacing(file)
     return image, sides, unit
 
@@ -82,7 +84,9 @@ def _ome_spacing(tifffile: Any, file: Any) -> tuple[tuple[float, ...] | None, st
         return None, None
     units = {str(pixels.get(f"{name}Unit", "µm")) for name in names}
     if len(units) > 1:
-        raise ValueError(f"the sides of its voxels have the units {', '.join(sorted(units))}; give --spacing Z Y X")
+        raise ValueError(
+            f"the sides of its voxels have the units {', '.join(sorted(units))}; give --spacing Z Y X in one unit"
+        )
     return tuple(float(pixels[name]) for name in names), _plain_unit(units.pop())
 
 

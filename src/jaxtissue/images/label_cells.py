@@ -126,7 +126,7 @@ def measure_labels(image: Any, spacing: Any, sides: Any = None, threshold: float
     """
     image, steps = as_labels(image), as_spacing(spacing)
     if not threshold >= 0:
-        raise ValueError(f"threshold={threshold}; give a fraction of the mean wall, 0 or more")
+        raise ValueError(f"threshold={threshold} is not at least 0; give a fraction of the mean wall area")
     image = close_gaps(image)
     marks, how = find_sides(image) if sides is None else (as_sides(sides, image), "given")
     labels, dense = _number(image)

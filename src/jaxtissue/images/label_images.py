@@ -18,20 +18,24 @@ def as_labels(image: Any) -> Int[np.ndarray, "z y x"]:
     """
     given = np.asarray(image)
     if given.ndim == 4 and given.shape[-1] in (3, 4):
-        raise ValueError(f"the image has colors, {given.shape}; give the volume of labels, one number for each voxel")
+        raise ValueError(f"the image has colors (shape {given.shape}); give a 3D label image, one number per voxel")
     if given.ndim != 3:
-        told = f"the image has {given.ndim} dimensions, {given.shape}"
-        raise ValueError(f"{told}; give a volume of labels in the order (z, y, x)")
+        told = f"the image has {given.ndim} dimensions (shape {given.shape})"
+        raise ValueError(f"{told}; give a 3D label image with axes (z, y, x)")
     if given.dtype == bool:
-        raise ValueError("the image is a mask, true or false; give a number of its own to each cell")
+        raise ValueError("the image is a mask (true or false); give each cell its own number")
     if given.dtype.kind not in "iu":
-        raise ValueError(f"the image has numbers of type {given.dtype}; labels are whole numbers, 0 outside the tissue")
+        raise ValueError(
+            f"the image has numbers of type {given.dtype}; labels must be whole numbers, with 0 outside the tissue"
+        )
     if given.size == 0:
-        raise ValueError(f"the image of the shape {given.shape} has no voxels; give a volume of labels")
+        raise ValueError(f"the image of shape {given.shape} has no voxels; give a 3D label image")
     if given.min() < 0:
-        raise ValueError(f"the image has the label {given.min()}; labels are 0 outside the tissue and above 0 inside")
+        raise ValueError(
+            f"the image has the label {given.min()}; labels must be 0 outside the tissue and above 0 inside"
+        )
     if not given.any():
-        raise ValueError("the image has no label but 0; give the volume of labels, one number for each cell")
+        raise ValueError("the image contains only the label 0; give a label image with one number per cell")
     return given
 
 
@@ -42,7 +46,7 @@ def as_spacing(spacing: Any) -> Float[np.ndarray, "3"]:
     except (TypeError, ValueError):
         values = np.empty(0)
     if values.shape != (3,) or not (np.isfinite(values).all() and (values > 0).all()):
-        raise ValueError(f"spacing={spacing} is not the three sides of a voxel; give those along z, y and x, above 0")
+        raise ValueError(f"spacing={spacing} is invalid; give the three sides of a voxel along z, y and x, above 0")
     return values
 
 

@@ -13,10 +13,10 @@ def as_sides(sides: Any, image: Int[np.ndarray, "z y x"]) -> Shaped[np.ndarray, 
     """The marks of the background as given. Raises `ValueError` for other marks or another shape."""
     given = np.asarray(sides)
     if given.shape != image.shape or given.dtype.kind not in "biu":
-        told = f"sides is an array of {given.dtype}, {given.shape}"
-        raise ValueError(f"{told}; give one of whole numbers of the image's shape, {image.shape}")
+        told = f"sides is an array of {given.dtype} of shape {given.shape}"
+        raise ValueError(f"{told}; give whole numbers in the shape of the image, {image.shape}")
     if not np.isin(given, (0, APICAL, BASAL)).all():
-        raise ValueError("sides has other marks than 0; 1, apical; and 2, basal; correct them")
+        raise ValueError("sides contains values other than 0, 1 (apical) and 2 (basal); correct them")
     return given
 
 

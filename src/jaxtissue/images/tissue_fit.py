@@ -96,7 +96,7 @@ class TissueFit:
 
     def __repr__(self) -> str:
         report = self.report
-        told = f"{report['voxels_same']:.1%} of the voxels the same, {report['neighbors_kept']:.1%} of the neighbors"
+        told = f"{report['voxels_same']:.1%} of the voxels agree, {report['neighbors_kept']:.1%} of the neighbors"
         return f"TissueFit({len(self.labels)} cells in {self.domain!r}: {told})"
 
 
@@ -132,14 +132,14 @@ def fit_tissue(image: Any, spacing: Any, shape: str = "tube") -> TissueFit:
     (True, True)
     """
     if shape not in FITTERS:
-        raise ValueError(f"shape={shape!r} can't be fitted; give one of {', '.join(FITTERS)}")
+        raise ValueError(f"shape={shape!r} can't be fitted; use one of {', '.join(FITTERS)}")
     fitter, given, sizes = FITTERS[shape], as_labels(image), as_spacing(spacing)[::-1]
     cleaned = remove_specks(close_gaps(given))
     labels, dense = np.unique(cleaned, return_inverse=True)
     labels, dense = labels[labels > 0].astype(np.int64), dense.reshape(given.shape) + int(labels[0] > 0)
     if len(labels) < 2:
-        found = f"one label only, {labels[0]}" if len(labels) else "no cell of more than single voxels"
-        raise ValueError(f"the image has {found}; give each cell a label of its own")
+        found = f"only one label, {labels[0]}" if len(labels) else "no cell larger than single voxels"
+        raise ValueError(f"the image has {found}; give each cell its own label")
     domain, frame = fitter.domain(cleaned, sizes)
     points = frame.to_domain(np.argwhere(dense > 0)[:, ::-1] * sizes)
     start = fitter.start(domain, points, dense[dense > 0] - 1, len(labels))
@@ -155,8 +155,10 @@ def fit_tissue(image: Any, spacing: Any, shape: str = "tube") -> TissueFit:
     fit = TissueFit(domain, positions, labels, frame, voxels.astype(given.dtype), cells, beside, {})
     fit.report.update(_report(fit, given))
     if fit.report["voxels_same"] < POOR:
-        told = f"the {shape} labels only {fit.report['voxels_same']:.0%} of the image's voxels as the image does"
-        warnings.warn(f"{told}; look whether the tissue is a {shape}, and its labels are cells", stacklevel=2)
+        told = (
+            f"the fitted {shape} gives only {fit.report['voxels_same']:.0%} of the voxels the same label as the image"
+        )
+        warnings.warn(f"{told}; check that the tissue is a {shape} and that each label is one cell", stacklevel=2)
     return fit
 
 

@@ -16,7 +16,7 @@ ROUNDS = 40  # steps at most
 ENOUGH = 1e-4  # voxels by which the last step moves the tube
 LARGE = 1e3  # voxels, of faces that face neither cylinder nor end
 BEYOND = 4.0  # voxels on either side of a surface that decide where it is
-NO_TUBE = "the labels enclose no lumen along any axis; give an image of a tube"
+NO_TUBE = "the labels do not enclose a lumen along any axis; give an image of a tube"
 
 
 class _Surface(NamedTuple):

@@ -55,11 +55,14 @@ def check_adhesion(adhesion: Adhesion | None, cells: int) -> None:
     types, weights = np.asarray(adhesion.types), np.asarray(adhesion.weights)
     if types.shape != (cells,) or types.dtype.kind not in "iu":
         raise ValueError(
-            f"types are {types.dtype} of shape {types.shape}; give a whole number for each of {cells} cells"
+            f"types are {types.dtype} of shape {types.shape}; give one whole number for each of the {cells} cells"
         )
     if weights.ndim != 2 or weights.shape[0] != weights.shape[1] or not np.isfinite(weights).all():
-        raise ValueError(f"weights of shape {weights.shape}; give one finite number for each pair of types, [k, k]")
+        raise ValueError(
+            f"weights have shape {weights.shape}; give one finite number for each pair of types, shape [k, k]"
+        )
     if not np.array_equal(weights, weights.T):
-        raise ValueError("weights are not symmetric; give the wall between two types one weight")
+        raise ValueError("weights are not symmetric; give weights[a, b] = weights[b, a] for all types a and b")
     if not (types.min(initial=0) >= 0 and types.max(initial=0) < len(weights)):
-        raise ValueError(f"types go from {types.min()} to {types.max()}, and weights have {len(weights)} rows")
+        told = f"types range from {types.min()} to {types.max()}, but weights have {len(weights)} rows"
+        raise ValueError(f"{told}; give types from 0 to {len(weights) - 1}, or one row per type")

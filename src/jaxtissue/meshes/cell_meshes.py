@@ -110,7 +110,9 @@ def mesh_cells(
     (3, 1.0)
     """
     if not tolerance > 0:
-        raise ValueError(f"tolerance={tolerance}; give a fraction of a cell's volume above 0, such as {TOLERANCE:g}")
+        raise ValueError(
+            f"tolerance={tolerance} is not positive; give a fraction of the cell volume, such as {TOLERANCE:g}"
+        )
     place = as_positions(positions, tube, np.float64, sizes=False)
     axial, (cosine, sine) = place[:, 0], (np.cos(place[:, 1]), np.sin(place[:, 1]))
     ends = (

@@ -61,8 +61,8 @@ class SectionNeighbors(eqx.Module):
         """
         found = find_sections(domain, as_domain_positions(positions, domain), LAYERS)
         if found.unproved:
-            told = f"a neighbor may be missing at {found.unproved} corners of cells: energies may be off"
-            warnings.warn(f"{told}; take more cells", stacklevel=5)
+            told = f"neighbors may be missing at {found.unproved} corners of cells, so energies may be wrong"
+            warnings.warn(f"{told}; use more cells", stacklevel=5)
         return SectionNeighbors(found.lists.T, domain, found.unproved, found.rule.slots)
 
     @usual_modes()
@@ -80,7 +80,9 @@ class SectionNeighbors(eqx.Module):
             ValueError: If the number of backbones differs from the number of cells of the list.
         """
         if isinstance(positions, Tracer):
-            raise TypeError(f"lists on a {type(self.domain).__name__} are checked on the host; do so outside of jit")
+            raise TypeError(
+                f"neighbor lists on a {type(self.domain).__name__} are checked on the host; call covers outside of jit"
+            )
         place, rule = np.asarray(as_rows(positions, self.domain.columns, len(self))), RULE._replace(slots=self.slots)
         found, pairs = look_through(self.domain, place, np.asarray(self.candidates).T, LAYERS, rule)
         return not len(pairs) and found.rule == rule

@@ -29,14 +29,14 @@ def check_folder(folder: Path, force: bool) -> None:
     """Raise `ValueError` where a folder holds files (unless forced) or can't be written; touch nothing."""
     try:
         if folder.exists() and not (folder.is_dir() and (force or is_empty(folder))):
-            remedy = "choose another or add --force" if folder.is_dir() else "choose another"
-            raise ValueError(f"the output folder {folder} exists; {remedy}")
+            problem = "is not empty; choose another or add --force" if folder.is_dir() else "is a file; choose another"
+            raise ValueError(f"the output folder {folder} {problem}")
         nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
         writable = nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK)
     except OSError:
         writable = False
     if not writable:
-        raise ValueError(f"the output folder {folder} can't be written; choose another")
+        raise ValueError(f"the output folder {folder} is not writable; choose another")
 
 
 def is_empty(folder: Path) -> bool:
@@ -51,14 +51,14 @@ def make_folder(folder: Path, outdated: Sequence[str] = ()) -> None:
         for name in outdated:
             (folder / name).unlink(missing_ok=True)
     except OSError as error:
-        message = f"the output folder {folder} can't be written ({error.strerror}); choose another"
+        message = f"the output folder {folder} is not writable ({error.strerror}); choose another"
         raise ValueError(message) from error
 
 
 def refuse_link(path: Path) -> None:
     """Raise `ValueError` for a link."""
     if path.is_symlink():
-        raise ValueError(f"{path} is a symbolic link, which is not followed; remove it")
+        raise ValueError(f"{path} is a symbolic link, and jaxtissue does not follow links; remove it")
 
 
 def make_subfolder(folder: Path) -> None:
@@ -93,7 +93,7 @@ def replacing(path: Path, mode: str) -> Iterator[IO[Any]]:
     except BaseException as error:
         temporary.unlink(missing_ok=True)
         if isinstance(error, OSError) and error.filename is None:  # a full disk does not say where
-            raise OSError(f"{error}, writing {path}") from error
+            raise OSError(f"{error}, while writing {path}") from error
         raise
     finally:
         BEING_WRITTEN.discard(temporary)
@@ -131,7 +131,7 @@ def read_sealed(path: Path, remedy: str) -> dict[str, Any]:
     try:
         found = _SEALED.fullmatch(path.read_bytes())
         if not found or hashlib.sha256(found[1]).hexdigest().encode() != found[2]:
-            raise ValueError("its checksum does not hold")
+            raise ValueError("its checksum does not match its content")
         return json.loads(found[1] + b"}")
     except (OSError, ValueError) as error:
         raise ValueError(f"{path} is damaged ({_told(error)}); {remedy}") from error
@@ -170,7 +170,7 @@ def load_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
     try:
         whole = path.read_bytes()
         if hashlib.sha256(whole[:-_DIGITS]).hexdigest().encode() != whole[-_DIGITS:]:
-            raise ValueError("its checksum does not hold")
+            raise ValueError("its checksum does not match its content")
         with np.load(io.BytesIO(whole), allow_pickle=False) as file:
             return dict(file)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
@@ -188,7 +188,7 @@ def check_files(folder: Path, checksums: Mapping[str, str], remedy: str) -> None
     """Raise `ValueError`, with the remedy, for the first file that is not as its checksum says."""
     for name, expected in checksums.items():
         if (found := checksum(folder / name)) != expected:
-            problem = "its checksum does not hold" if found else "it can't be read"
+            problem = "its checksum does not match its content" if found else "it can't be read"
             raise ValueError(f"{folder / name} is damaged ({problem}); {remedy}")
 
 

@@ -35,7 +35,7 @@ class Lock:
         try:
             self._file = os.open(self.path, _FLAGS, 0o666)
         except OSError as error:
-            raise ValueError(f"{self.path} can't be locked ({error.strerror}); remove it") from error
+            raise ValueError(f"the lock file {self.path} cannot be opened ({error.strerror}); remove it") from error
 
     def take(self, shared: bool = False) -> bool:
         """Take the lock, alone or with others; whether that was possible."""
@@ -52,8 +52,8 @@ class Lock:
             return False
         except OSError as error:
             self.works = False
-            told = f"{self.path.parent} can't be locked ({error.strerror})"
-            warnings.warn(f"{told}; start nothing else in this folder meanwhile", stacklevel=2)
+            told = f"the folder {self.path.parent} cannot be locked ({error.strerror})"
+            warnings.warn(f"{told}; do not start another command in this folder until this one has ended", stacklevel=2)
             return True
         if not shared:
             os.truncate(self._file, 0)
@@ -87,7 +87,9 @@ def alone(folder: Path, name: str = NAME, what: str = "a run") -> Iterator[None]
         if not lock.take():
             holder = lock.holder()
             os.close(lock._file)
-            raise ValueError(f"{what} is under way in {folder} ({holder}); wait for it or choose another folder")
+            raise ValueError(
+                f"{what} is still running in {folder} ({holder}); wait until it has ended, or choose another folder"
+            )
         try:
             if lock.works and name == NAME:
                 remove_leftovers(folder)
@@ -110,8 +112,8 @@ def together(folder: Path, prepare: Callable[[bool | None], None]) -> Iterator[N
         def share() -> None:
             while not lock.take(shared=True):
                 if time.monotonic() > ends:
-                    told = f"{folder} is held by {lock.holder()}"
-                    raise ValueError(f"{told}; wait for it or choose another folder")
+                    told = f"{folder} is in use by {lock.holder()}"
+                    raise ValueError(f"{told}; wait until it has ended, or choose another folder")
                 time.sleep(0.05)
 
         try:
@@ -133,7 +135,7 @@ def _made(folder: Path) -> Iterator[None]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        message = f"the output folder {folder} can't be written ({error.strerror}); choose another"
+        message = f"the output folder {folder} is not writable ({error.strerror}); choose another"
         raise ValueError(message) from error
     try:
         yield

@@ -76,7 +76,9 @@ def _answer(told: int) -> None:
 
 def _end(number: int) -> NoReturn:
     """End the process, whatever its threads are at."""
-    line = f"jaxtissue: error: stopped by {signal.Signals(number).name}; results saved so far can be resumed\n"
+    line = (
+        f"jaxtissue: error: stopped by {signal.Signals(number).name}; a run can be resumed from its last saved sweep\n"
+    )
     try:
         for path in list(BEING_WRITTEN):
             path.unlink(missing_ok=True)

@@ -83,9 +83,9 @@ def section_doubts(cells: CellGeometry, found: Measured) -> Iterator[str]:
     cut = np.flatnonzero(np.asarray(found.sizes.is_cut))
     if len(cut):
         told = ", ".join(map(str, cut[:5].tolist()))
-        yield f"{len(cut)} of {n} cells reach beyond what one of their sections can show: cells {told}; take more cells"
+        yield f"{len(cut)} of {n} cells are too wide to be measured completely: cells {told}; use more cells"
     if found.unproved:
-        yield f"a neighbor may be missing at {found.unproved} corners of cells; sizes there may be too large"
+        yield f"neighbors may be missing at {found.unproved} corners; sizes there may be too large: use more cells"
     if not defect <= DEFECT:
-        told = f"the sections of the {n} cells miss a layer of the tissue by {100 * defect:.2g} %"
-        yield f"{told}: some lack a part, or overlap"
+        told = f"the sections of the {n} cells add up to {100 * defect:.2g} % more or less than a layer of the tissue"
+        yield f"{told}: cells are incomplete or overlap; use more cells"

@@ -103,11 +103,11 @@ def measure_tissue(
     (True, (40,))
     """
     if tolerance is not None and not tolerance > 0:
-        raise ValueError(f"tolerance={tolerance} is not a positive fraction of the mean cell; try 0.001")
+        raise ValueError(f"tolerance={tolerance} is not positive; give a fraction of the mean cell, such as 0.001")
     domain = domain_of(domain, positions)
     if isinstance(domain, Domain):
         if tolerance is not None:
-            raise ValueError(f"tolerance={tolerance} is available for tubes only; use a finer resolution here")
+            raise ValueError(f"tolerance={tolerance} is available for tubes only; give a finer resolution instead")
         return measure_domain_tissue(positions, domain, resolution, surfaces, refine)
     given, resolution = as_positions(positions, domain, float), as_resolution(resolution)
     limits, defect, n = as_limits(tolerance), 0.0, len(given)
@@ -140,14 +140,14 @@ def doubts(cells: CellGeometry, tube: Tube, limits: tuple[float, float]) -> Iter
     The limits are fractions of the mean volume and of the mean lateral area.
     """
     for limit, told in over_limits(cells, limits):
-        cure = "use 64 bits, move backbones that nearly coincide apart"
-        cure += ", or take a larger tolerance" if limit < min(LIMITS) else ""
+        cure = "use 64 bits (--x64 or jax_enable_x64), move backbones that nearly coincide apart"
+        cure += ", or give a larger tolerance" if limit < min(LIMITS) else ""
         yield f"{told}; {cure}"
     total, error = (np.asarray(c, float).sum() for c in (cells.volume, cells.volume_error))
     lost = total - float(tube.volume)
     if not abs(lost) <= error + SUMS * float(tube.volume) / len(cells.volume):
         share = lost / float(tube.volume)
-        yield f"the cells' volumes add up to {1 + share:.6f} of the tube's: some lack a part, or overlap"
+        yield f"the cell volumes add up to {1 + share:.6f} times the tube volume: cells are incomplete or overlap"
 
 
 class Kept(NamedTuple):

@@ -107,7 +107,7 @@ def over_limits(cells: CellGeometry, limits: tuple[float, float]) -> Iterator[tu
         if len(over) and len(size) > 1:
             worst = over[np.argsort(-np.nan_to_num(share[over], nan=np.inf))[:5]]
             listed = ", ".join(f"{cell} ({100 * share[cell]:.2g} %)" for cell in worst)
-            told = f"the {name.replace('_', ' ')} of {len(over)} of {len(size)} cells may be off by more than"
+            told = f"the {name.replace('_', ' ')} of {len(over)} of {len(size)} cells may be wrong by more than"
             yield limit, f"{told} {100 * limit:g} % of the mean: cells {listed}"
 
 

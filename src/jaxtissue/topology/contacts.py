@@ -124,7 +124,7 @@ def find_contacts(
     ([[0, 1], [0, 2], [1, 2]], ['apical_basal', 'apical_basal', 'apical_basal'])
     """
     if not threshold >= 0:
-        raise ValueError(f"threshold={threshold}; give a fraction of the mean wall, 0 or more")
+        raise ValueError(f"threshold={threshold} is not at least 0; give a fraction of the mean wall area")
     positions = as_positions(positions, tube, np.float64)
     graph = trace_edges(positions, tube) if edges is None else edges
     faces = find_faces(graph) if faces is None else faces

@@ -65,8 +65,8 @@ def _find_transitions(gaps: LayerGaps, risen: Rise) -> Transitions:
     ahead = gaps.ahead_of(np.concatenate(checked), np.concatenate(at))
     open_ += int((ahead < -10 * TIE * gaps.size).sum())
     if open_:
-        told = f"{open_} changes of neighbors can't be explained: contacts and transitions may be missing"
-        warnings.warn(f"{told}; take more cells, or move backbones that nearly coincide apart", stacklevel=4)
+        told = f"{open_} neighbor changes could not be resolved, so contacts and transition points may be missing"
+        warnings.warn(f"{told}; use more cells, or move backbones that nearly coincide apart", stacklevel=4)
     per_cell = np.bincount(labels.ravel(), minlength=n)
     return Transitions(points, labels, per_cell, open_, flips.height[real])
 
@@ -108,8 +108,10 @@ def _warn_of_walls(
     if len(over):
         worst = over[np.argsort(-share[over])[:5]]
         named = ", ".join(f"{a}-{b} ({100 * share[k]:.2g} %)" for k, (a, b) in zip(worst, pairs[worst], strict=True))
-        told = f"the areas of {len(over)} of {len(pairs)} walls may be off by more than {100 * DOUBTED:g} % of the mean"
-        warnings.warn(f"{told}: between cells {named}; measure these cells by measure_tissue", stacklevel=5)
+        told = (
+            f"the areas of {len(over)} of {len(pairs)} walls may be wrong by more than {100 * DOUBTED:g} % of the mean"
+        )
+        warnings.warn(f"{told}, between cells {named}; measure these cells with measure_tissue", stacklevel=5)
 
 
 @usual_modes()

@@ -74,7 +74,9 @@ def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
     (_, untold), graph, weights = best
     graph = graph._replace(open_ends=graph.open_ends + untold, bisectors=plain)
     if graph.open_ends:
-        message = f"{graph.open_ends} edges of the diagram could not be followed: contacts and transitions may be"
+        message = (
+            f"{graph.open_ends} edges of the diagram could not be followed, so contacts and transition points may be"
+        )
         warnings.warn(f"{message} missing; move backbones that nearly coincide apart", stacklevel=2)
     return _settle(graph, plain, weights) if weights.any() else graph
 

@@ -18,7 +18,7 @@ from jaxtissue.topology.layer_polygons import Polygons, complete_polygons
 Base = Rectangle | UnitSphere
 SHORTEST = (0.0, 1e-6, 1e-4, 1e-2, 0.05)  # in mean widths: shorter walls are left out, until the map is one
 PASSES = (3, 2, 5, 8)  # of the polygons: long cells on narrow tubes may come out well by some of them alone
-ROUND = "take more cells, or start from a Tube where its cells go round"
+ROUND = "use more cells, or a Tube, where cells may wrap around the lumen"
 
 
 def _names(base: Base, lists: Int[np.ndarray, "n q"], found: Polygons) -> Int[np.ndarray, "n l"]:
@@ -30,17 +30,17 @@ def _names(base: Base, lists: Int[np.ndarray, "n q"], found: Polygons) -> Int[np
     names = np.concatenate([lists, np.tile(-1 - np.arange(4), (n, 1))], axis=1)
     round_ = np.flatnonzero((found.is_edge[:, q:] & ~np.asarray(base.is_end())).any(axis=1))
     if len(round_):
-        told = f"cell {round_[0]} goes all the way round the tissue, or nearly so"
-        raise ValueError(f"{told}: contacts can't be followed there; {ROUND}")
+        told = f"cell {round_[0]} wraps around the tissue, or nearly so"
+        raise ValueError(f"{told}, and its contacts can't be found; {ROUND}")
     own = np.flatnonzero((found.is_edge[:, :q] & (lists % n == np.arange(n)[:, None])).any(axis=1))
     if len(own):
-        raise ValueError(f"cell {own[0]} touches its own copy; make the period longer, or take more cells")
+        raise ValueError(f"cell {own[0]} touches its own periodic image; make the period longer, or use more cells")
     return names
 
 
 def first_map(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], height: float) -> Junctions:
     """The junctions of a layer, near to where they are. Raises `ValueError` where the sections make up no surface."""
-    refusal = f"the sections of the cells do not make up a surface at height {height:g}; {ROUND}"
+    refusal = f"contacts can't be found: at height {height:g} the sections of the cells leave gaps or overlap; {ROUND}"
     for passes in PASSES:
         found, lists = complete_polygons(gaps, positions, height, passes)
         try:

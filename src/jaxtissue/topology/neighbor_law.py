@@ -93,9 +93,11 @@ def fit_neighbor_law(ratios: Float[ArrayLike, " k"], neighbors: Float[ArrayLike,
 
     ratio, found = np.asarray(ratios, float), np.asarray(neighbors, float)
     if ratio.shape != found.shape or ratio.ndim != 1 or len(np.unique(ratio)) < 4:
-        raise ValueError(f"{ratio.shape} ratios, {found.shape} neighbors; give four different ratios or more")
+        raise ValueError(
+            f"ratios have shape {ratio.shape}, neighbors {found.shape}; give both for at least four different ratios"
+        )
     if not (np.isfinite(ratio).all() and np.isfinite(found).all() and (ratio > 0).all()):
-        raise ValueError("ratios and neighbors must be finite, and ratios above 0; leave the others out")
+        raise ValueError("ratios and neighbors must be finite, and ratios above 0; remove the others")
     place, spread = np.log(ratio), np.ptp(found)
     rising = np.polyfit(place, found, 1)[0] >= 0
     start = found.min(), found.max(), place.mean(), (4 if rising else -4) / np.ptp(place)
@@ -106,10 +108,10 @@ def fit_neighbor_law(ratios: Float[ArrayLike, " k"], neighbors: Float[ArrayLike,
             warnings.simplefilter("ignore", OptimizeWarning)
             best, covariance = curve_fit(_logistic, place, found, start, maxfev=5_000, xtol=1e-12, ftol=1e-12)
         if abs(best[2]) > EXTREME:
-            raise RuntimeError("they show no bend")
+            raise RuntimeError("they do not level off")
     except RuntimeError as error:
         reason = " ".join(str(error).split())
-        remedy = "give ratios from near 1 to where neighbors level off"
+        remedy = "give ratios from near 1 up to where the number of neighbors levels off"
         raise ValueError(f"no logistic function fits the neighbors ({reason}); {remedy}") from error
     low, high, middle, steepness = best.tolist()
     if steepness < 0:  # the same function with its ends exchanged

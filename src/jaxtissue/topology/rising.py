@@ -245,8 +245,8 @@ def rise(gaps: LayerGaps, junctions: Junctions) -> Rise:
         else:
             step /= 2
         if forced > FORCED:
-            told = f"the cells can't be followed beyond height {low:.3g}: a junction is lost"
-            raise ValueError(f"{told}, as where cells go round; take more cells")
+            told = f"the contacts of the cells can't be followed beyond height {low:.3g}"
+            raise ValueError(f"{told}; cells may wrap around the tissue there: use more cells")
     pieces = Pieces(*(np.concatenate(parts) for parts in zip(*climb.pieces, strict=True)))
     none = Flips(np.zeros((0, 4), int), np.zeros((0, 3)), np.zeros(0))
     flips = Flips(*(np.concatenate(parts) for parts in zip(none, *climb.flips, strict=True)))

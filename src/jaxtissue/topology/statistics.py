@@ -88,7 +88,7 @@ def find_connectivity(
     (6, [1, 1, 1, 1], [False, False, True, True])
     """
     if not threshold >= 0:
-        raise ValueError(f"threshold={threshold}; give a fraction of the mean wall, 0 or more")
+        raise ValueError(f"threshold={threshold} is not at least 0; give a fraction of the mean wall area")
     if isinstance(domain, Domain):
         return Connectivity(**connect_domain(positions, domain, threshold)._asdict())
     place = as_positions(positions, domain, np.float64)
@@ -209,11 +209,11 @@ def polygon_classes(
     ([2, 3], [2, 2], [3.0, 2.33])
     """
     if surface not in SURFACES:
-        raise ValueError(f"surface={surface!r} is none of {', '.join(SURFACES)}; choose one of them")
+        raise ValueError(f"surface={surface!r} is unknown; use one of {', '.join(SURFACES)}")
     contacts, sides = connectivity.contacts, connectivity.contacts.degree(*SURFACES[surface])
     size = np.asarray(areas, float)
     if size.shape != sides.shape:
-        raise ValueError(f"areas have shape {size.shape}; give one for each of the {len(sides)} cells")
+        raise ValueError(f"areas have shape {size.shape}; give one area for each of the {len(sides)} cells")
     chosen = ~connectivity.is_end if inner_only else np.ones(len(sides), bool)
     pairs = contacts.pairs[np.isin(contacts.kind, SURFACES[surface])]
     pairs = pairs[chosen[pairs].all(axis=1)]
