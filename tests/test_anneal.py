@@ -134,7 +134,7 @@ def test_energy_falls_and_nothing_is_compiled_after_the_first_span(start) -> Non
 def test_places_too_coarse_for_the_moves_are_told() -> None:
     tube = Tube(200_000.0, 1.0, 10.0)  # as of a million cells
     run = Annealer(tube_model(tube, 10**6), PRESETS["draft"], "is-mh", 0, constant_schedule(1.0, 1))
-    with pytest.warns(UserWarning, match=r"0.016 apart in float32, and backbones some 0.63; use 64 bits"):
+    with pytest.warns(UserWarning, match=r"steps of 0.016, too coarse for backbones 0.63 apart; use 64 bits"):
         run.start(np.random.default_rng(0).random((10**6, 2)) * [200_000, 6])
 
 

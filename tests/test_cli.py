@@ -546,5 +546,5 @@ def test_measure_warns_of_places_too_coarse_for_32_bits(tmp_path, recwarn):
         out = tmp_path / f"out{warned}"
         assert main(["measure", str(table), "--out", str(out), *size, *more]) == 0
         told = [str(warning.message) for warning in recwarn.list]
-        assert any("axial positions are 0.062 apart in float32" in text for text in told) == warned
+        assert any("axial positions in float32 have steps of 0.062" in text for text in told) == warned
         recwarn.clear()

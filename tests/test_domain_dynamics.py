@@ -104,9 +104,9 @@ def test_what_cannot_be_annealed_is_refused() -> None:
         jt.Annealer(model, "draft", "is-mh", 0, np.ones(1), conflicts="8-phi")
     with pytest.raises(ValueError, match="41 backbones for a model of 40 cells"):
         jt.Annealer(model, "draft", "is-mh", 0, np.ones(1)).start(EGG.random_positions(jax.random.key(0), 41))
-    with pytest.raises(ValueError, match="make one for that"):
+    with pytest.raises(ValueError, match="make a model for that"):
         jt.anneal(SHEET.random_positions(jax.random.key(0), CELLS), SHEET, 1, model=model)
-    with pytest.raises(AttributeError, match="Ellipsoid has no tube"):
+    with pytest.raises(AttributeError, match="Ellipsoid has no attribute tube"):
         _ = model.tube
 
 

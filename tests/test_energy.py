@@ -86,15 +86,15 @@ def test_arrays_of_constants_are_refused_by_name(name, length) -> None:
 OWN = {
     "wrong shape": (
         lambda cells, model: cells.volume.sum(),
-        r"gives float32 of shape \(\) for cells of shape",
+        r"returns float32 of shape \(\) for cells of shape",
     ),
     "two numbers": (lambda cells, model: jnp.stack([cells.volume] * 2), r"shape \(2, 4\)"),
     "whole numbers": (lambda cells, model: cells.volume.astype(int), "int32"),
     "no numbers": (lambda cells, model: jnp.log(-cells.volume), "is nan in float32"),
     "infinite": (lambda cells, model: cells.volume * 1e30 * 1e30, "is inf in float32 .*--x64"),
-    "array of its own": (lambda cells, model: cells.volume * jnp.arange(57.0), "fails .*each cell alone"),
-    "others": (lambda cells, model: cells.volume / cells.volume.mean(), "depends on other cells"),
-    "place": (lambda cells, model: cells.volume + jnp.roll(cells.lateral_area, 1), "depends on other cells"),
+    "array of its own": (lambda cells, model: cells.volume * jnp.arange(57.0), "raises an error .*compute each cell on its own"),
+    "others": (lambda cells, model: cells.volume / cells.volume.mean(), "depends on several cells"),
+    "place": (lambda cells, model: cells.volume + jnp.roll(cells.lateral_area, 1), "depends on several cells"),
 }
 
 
@@ -150,7 +150,7 @@ def test_relative_energies_are_the_formula() -> None:
 
 @pytest.mark.parametrize(
     "acceptance, words",
-    [(0.0, "no move is accepted: T = 2 does"), (0.97, "97% of the moves are"), (0.95, ""), (0.01, "")],
+    [(0.0, "no move is accepted: T = 2 is too low"), (0.97, "97% of the moves are"), (0.95, ""), (0.01, "")],
 )
 def test_acceptance_is_doubted_once_and_after_enough_moves(acceptance, words) -> None:
     blank = dict.fromkeys(SweepRecord._fields, 0)

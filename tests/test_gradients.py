@@ -162,14 +162,14 @@ def test_lloyd_makes_cells_alike(start):
     model, energies = jt.tube_model(TUBE, CELLS), []
     result = jt.relax(start, model, "lloyd", steps=3, callback=lambda record, _: energies.append(record.energy))
     assert result.energy < 0.5 * energies[0] and result.energy == energies[-1] and not result.converged
-    assert jt.relax(start, model, "lloyd", steps=3, tolerance=0.5).message == "relaxed"
+    assert jt.relax(start, model, "lloyd", steps=3, tolerance=0.5).message == "converged"
 
 
 def test_relaxation_ends_and_refuses():
     place = TUBE.random_positions(jax.random.key(1), CELLS)
     model = jt.tube_model(TUBE, CELLS)
     ended = jt.relax(place, model, steps=2, callback=lambda *_: True)
-    assert len(ended.history) == 1 and ended.message == "ended by the callback"
+    assert len(ended.history) == 1 and ended.message == "stopped by the callback"
     np.testing.assert_array_equal(ended.positions, place)
     with pytest.raises(ValueError, match="unknown method 'newton'"):
         jt.relax(place, model, "newton")

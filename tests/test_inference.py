@@ -116,5 +116,5 @@ def test_what_forces_do_not_tell_is_refused(known, told):
 
 def test_walls_that_pull_alike_tell_no_tension(tissue, infer, monkeypatch):
     monkeypatch.setattr(tissue, "pull", np.zeros(2 * CELLS))
-    with pytest.raises(ValueError, match="walls pull alike"):
+    with pytest.raises(ValueError, match="pulls of the walls cancel"):
         infer(np.zeros(2 * CELLS))

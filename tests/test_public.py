@@ -86,9 +86,9 @@ def test_any_true_answer_ends_a_run_and_none_does_not(positions):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ({"model": jt.tube_model(jt.Tube(48, 1, 3**0.5), 40)}, "make one for that tube"),
+        ({"model": jt.tube_model(jt.Tube(48, 1, 3**0.5), 40)}, "make a model for that tube"),
         ({"sweeps": -1}, "sweeps=-1"),
-        ({"sweeps": 3, "temperature": [1.0, 2.0]}, "temperatures for 3 sweeps"),
+        ({"sweeps": 3, "temperature": [1.0, 2.0]}, "for 3 sweeps; give one number"),
         ({"temperature": -1.0}, "at least 0"),
         ({"resolution": "rough"}, "rough"),
         ({"seed": -1}, "seed=-1"),
@@ -217,8 +217,8 @@ def test_each_cell_has_its_own_target(x64):
 @pytest.mark.parametrize(
     ("parameters", "told"),
     [
-        (np.ones(56), r"parameters has the shape \(56,\); give one row for each of 57"),
-        ({"target": np.float64(3)}, r"parameters\['target'\] has the shape \(\)"),
+        (np.ones(56), r"parameters has shape \(56,\); give one row for each of the 57"),
+        ({"target": np.float64(3)}, r"parameters\['target'\] has shape \(\)"),
         ([np.full(57, np.nan)], r"parameters\[0\] contains a value that is not finite"),
     ],
 )

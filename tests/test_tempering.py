@@ -76,7 +76,7 @@ def test_tissues_travel_and_the_seed_tells_how(start, tempered):
 
 
 @pytest.mark.parametrize(
-    ("temperatures", "told"), [([2.0], "two or more"), ([2.0, 1.0], "from low to high"), ([0.0, 1.0], "above 0")]
+    ("temperatures", "told"), [([2.0], "at least two"), ([2.0, 1.0], "above 0 and increasing"), ([0.0, 1.0], "above 0")]
 )
 def test_temperatures_are_refused(start, temperatures, told):
     with pytest.raises(ValueError, match=told):

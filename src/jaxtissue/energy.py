@@ -119,7 +119,7 @@ class Model(eqx.Module):
         """The domain, if it is a `Tube`. Raises AttributeError for other domains."""
         if isinstance(self.domain, Tube):
             return self.domain
-        raise AttributeError(f"a model of {type(self.domain).__name__} has no tube; use model.domain")
+        raise AttributeError(f"a model of {type(self.domain).__name__} has no attribute tube; use model.domain")
 
     def with_surfaces(self) -> "Model":
         """Return a copy whose `cell_energy` can read areas and perimeters on the surfaces, which are None otherwise.
@@ -189,9 +189,9 @@ def tube_model(
     for name, value in (("modulus", modulus), ("tension", tension)):
         _check_constant(name, value)
         if not isinstance(value, Tracer) and not 0 <= value < float("inf"):
-            raise ValueError(f"{name}={value} is not a finite number of at least 0; give one")
+            raise ValueError(f"{name}={value} is invalid; give a finite number of at least 0")
     if cells < 1:
-        raise ValueError(f"cells={cells}: a tissue has at least one cell")
+        raise ValueError(f"cells={cells} is too small; give at least one cell")
     check_parameters(parameters, cells)
     check_adhesion(adhesion, cells)
     mean = tube.volume / cells
@@ -204,7 +204,7 @@ def check_parameters(parameters: Any, cells: int) -> None:
     for path, table in jax.tree_util.tree_leaves_with_path(parameters):
         name = f"parameters{jax.tree_util.keystr(path)}"
         if np.ndim(table) == 0 or len(table) != cells:
-            raise ValueError(f"{name} has the shape {np.shape(table)}; give one row for each of {cells} cells")
+            raise ValueError(f"{name} has shape {np.shape(table)}; give one row for each of the {cells} cells")
         if not isinstance(table, Tracer) and not np.isfinite(np.asarray(table, float)).all():
             raise ValueError(f"{name} contains a value that is not finite; give one finite number per cell")
 
@@ -238,7 +238,7 @@ def cell_energies(cells: CellGeometry, model: Model) -> Float[Array, "cells"]:
     found, wanted = model.cell_energy(cells, model), jnp.shape(cells.volume)
     if jnp.shape(found) != wanted or not jnp.issubdtype(jnp.result_type(found), jnp.floating):
         given = f"{jnp.result_type(found)} of shape {jnp.shape(found)} for cells of shape {wanted}"
-        raise ValueError(f"{_name(model)} gives {given}; return one real number per cell")
+        raise ValueError(f"{_name(model)} returns {given}; it must return one real number per cell")
     return found
 
 
@@ -267,16 +267,16 @@ def check_energy(model: Model) -> None:
     except (TypeError, IndexError, KeyError, AttributeError) as error:
         reason = " ".join(str(error).split())
         none = "NoneType" in reason and not model.has_surfaces
-        cure = "use model.with_surfaces() if it reads sizes there" if none else "give a function of each cell alone"
-        raise ValueError(f"{_name(model)} fails ({reason}); {cure}") from error
+        cure = "for areas on the surfaces, use model.with_surfaces()" if none else "compute each cell on its own"
+        raise ValueError(f"{_name(model)} raises an error ({reason}); {cure}") from error
     require_finite(energy, model)
     if not np.allclose(energy[:2], part, rtol=1e-3, atol=1e-6 * float(np.abs(energy).max())):
-        raise ValueError(f"{_name(model)} of a cell depends on other cells; give a function of each cell alone")
+        raise ValueError(f"{_name(model)} depends on several cells; compute each energy from one cell")
     if model.cell_energy in (epithelial_energy, volume_elasticity):
         right = float(model.modulus) / 2 * (float(volume[1]) - float(model.mean_volume)) ** 2
         least = np.asarray(volume_elasticity(CellGeometry(volume, area), model), float)[1]
         if not 0.9 * right <= least <= 1.1 * right:
-            small = f"modulus={model.modulus} makes energies of {right:.1g}, which vanish in {dtype}"
+            small = f"modulus={model.modulus} gives energies of {right:.1g}, too small for {dtype}"
             raise ValueError(f"{small}; change the unit of length or {X64}")
 
 
@@ -287,13 +287,13 @@ def require_finite(energies: Any, model: Model) -> None:
         return
     constants = ", ".join(f"{name}={float(getattr(model, name)):.6g}" for name in CONSTANTS)
     found = f"{_name(model)} is {energy[~np.isfinite(energy)][0]} in {energy.dtype} ({constants})"
-    raise ValueError(f"{found}; change units{f' or {X64}' * (energy.dtype == np.float32)}, or correct the energy")
+    raise ValueError(f"{found}; change the unit of length{f', {X64}' * (energy.dtype == np.float32)}, or correct it")
 
 
 def _check_constant(name: str, value: Any) -> None:
     if isinstance(value, str | bool) or np.shape(value) != ():
         given = repr(value) if np.shape(value) == () else f"an array of shape {np.shape(value)}"
-        raise ValueError(f"{name} is {given}; give one number, the same for all cells")
+        raise ValueError(f"{name} is {given}; give a single number for all cells")
 
 
 def _name(model: Model) -> str:

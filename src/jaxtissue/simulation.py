@@ -124,14 +124,16 @@ def anneal(
     if not _are_same(model.domain, domain):
         kind = "tube" if isinstance(domain, Tube) else "domain"
         raise ValueError(
-            f"the model is of {model.domain}, and the positions stand in {domain}; make one for that {kind}"
+            f"the model is for {model.domain}, but the positions are in {domain}; make a model for that {kind}"
         )
     if sweeps < 0:
-        raise ValueError(f"sweeps={sweeps} is negative; give sweeps of at least 0")
+        raise ValueError(f"sweeps={sweeps} is negative; give at least 0 sweeps")
     given = np.asarray(temperature, float)
     schedule = constant_schedule(given.item(), sweeps) if given.ndim == 0 else given
     if schedule.shape != (sweeps,):
-        raise ValueError(f"{schedule.shape} temperatures for {sweeps} sweeps; give one temperature, or one per sweep")
+        raise ValueError(
+            f"temperature has shape {schedule.shape} for {sweeps} sweeps; give one number, or one per sweep"
+        )
     annealer = Annealer(model, resolution, "is-mh", seed, schedule)
     state = annealer.start(place)
     records, last = [annealer.record(state)], state.positions

@@ -103,10 +103,10 @@ class Annealer:
         if conflicts not in CONFLICTS:
             raise ValueError(f"unknown conflict rule {conflicts!r}; use one of {', '.join(CONFLICTS)}")
         if not 0 <= seed < 2**32:
-            raise ValueError(f"seed={seed} is not within 0 and 2^32 - 1; give one that is")
+            raise ValueError(f"seed={seed} is out of range; give a whole number from 0 to 2^32 - 1")
         temperatures = np.asarray(temperatures, float)
         if not (np.isfinite(temperatures).all() and (temperatures >= 0).all()):
-            raise ValueError("temperatures must be finite and at least 0; change the schedule")
+            raise ValueError("temperatures must be finite and at least 0; correct the temperature or the schedule")
         if conflicts == "8-phi" and isinstance(model.domain, Domain):
             raise ValueError("conflicts='8-phi' is available for tubes only; use 'near'")
         check_energy(model)

@@ -58,8 +58,10 @@ class DomainRun:
         cut = int(measured.is_cut.sum())
         if (cut or measured.unproved) and not self._warned:
             self._warned = True
-            told = f"{cut} cells reach beyond what one of their sections can show, and at {measured.unproved} places"
-            warnings.warn(f"{told} a neighbor may be missing: energies may be off; take more cells", stacklevel=4)
+            told = (
+                f"{cut} cells are too wide to be measured, and neighbors may be missing at {measured.unproved} corners"
+            )
+            warnings.warn(f"{told}; energies may be wrong: use more cells", stacklevel=4)
         return measured
 
     def play(self, measured: Measured, plan: Plan, sweep: int, batch: Batch) -> Played:

@@ -50,14 +50,14 @@ def memory_warning(needed: int, available: int | None) -> str | None:
     """A warning for a run that needs more memory than there is; None where the memory is enough.
 
     >>> print(memory_warning(int(20e9), int(16e9)).split(";")[0])
-    the run needs about 20.0 GB of memory and the machine has 16.0 GB
+    the run needs about 20.0 GB of memory, but the machine has 16.0 GB
     >>> memory_warning(int(2e9), int(16e9))
     """
     if available is None or needed <= available:
         return None
     return (
-        f"the run needs about {describe_bytes(needed)} of memory and the machine has "
-        f"{describe_bytes(available)}; take fewer cells or replicas, or a coarser resolution"
+        f"the run needs about {describe_bytes(needed)} of memory, but the machine has "
+        f"{describe_bytes(available)}; use fewer cells or replicas, or a coarser resolution"
     )
 
 

@@ -104,8 +104,8 @@ def warn_of_coarse_places(model: Model, cells: int, dtype: np.dtype) -> None:
     """
     apart, longest = float(np.spacing(dtype.type(model.tube.length))), float(move_bound(model, cells))
     if apart > COARSE * longest:
-        told = f"axial positions are {apart:.2g} apart in {dtype}, and backbones some {4 * longest:.2g}"
-        warnings.warn(f"{told}; use 64 bits (--x64)", stacklevel=4)
+        told = f"axial positions in {dtype} have steps of {apart:.2g}, too coarse for backbones {4 * longest:.2g} apart"
+        warnings.warn(f"{told}; use 64 bits (--x64 or jax_enable_x64)", stacklevel=4)
 
 
 class Proposals(NamedTuple):

@@ -44,7 +44,7 @@ def geometric_schedule(first: float, last: float, sweeps: int) -> Float[np.ndarr
     [8.0, 4.0, 2.0]
     """
     if not (first > 0 and last > 0):
-        raise ValueError(f"temperatures {first} and {last}: a geometric schedule needs both above 0")
+        raise ValueError(f"temperatures {first} and {last} are invalid: a geometric schedule needs both above 0")
     return np.geomspace(first, last, sweeps) if sweeps > 1 else np.full(sweeps, float(first))
 
 

@@ -120,9 +120,11 @@ class AcceptanceWatch:
         share, self._done = self._accepted / self._moves, True
         if 0 < share <= ALL:
             return ""
-        wrong, change = ("no move is", "higher") if share == 0 else (f"{share:.0%} of the moves are", "lower")
-        fit = f"T = {records[-1].temperature:g} does not fit the energies, which have the units of lengths"
-        return f"{wrong} accepted: {fit}; take a {change} --temperature, or --relative"
+        moves, wrong, change = (
+            ("no move is", "low", "higher") if share == 0 else (f"{share:.0%} of the moves are", "high", "lower")
+        )
+        cause = f"T = {records[-1].temperature:g} is too {wrong} for the energies, which depend on the unit of length"
+        return f"{moves} accepted: {cause}; give a {change} --temperature, or use --relative"
 
 
 def least_around(cells: int) -> int:

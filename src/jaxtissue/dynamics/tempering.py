@@ -96,16 +96,18 @@ def temper(
     >>> model = jt.tube_model(jt.Tube(length=12, apical_radius=1, basal_radius=3), 2)
     >>> temper([[3.0, 0.0], [9.0, 0.0]], model, [2.0, 1.0])
     Traceback (most recent call last):
-    ValueError: temperatures=[2.0, 1.0]: give two or more above 0, from low to high
+    ValueError: temperatures=[2.0, 1.0] is invalid; give at least two, above 0 and increasing
     """
     heat = np.atleast_1d(np.asarray(temperatures, float))
     if heat.ndim > 1 or len(heat) < 2 or not (np.isfinite(heat).all() and heat[0] > 0 and (np.diff(heat) > 0).all()):
-        raise ValueError(f"temperatures={temperatures}: give two or more above 0, from low to high")
+        raise ValueError(f"temperatures={temperatures} is invalid; give at least two, above 0 and increasing")
     if sweeps < 0 or not 0 <= seed < 2**32:
-        raise ValueError(f"sweeps={sweeps}, seed={seed}: give at least 0 sweeps, and a seed of 0 to 2^32 - 1")
+        raise ValueError(f"sweeps={sweeps}, seed={seed}: give at least 0 sweeps, and a seed from 0 to 2^32 - 1")
     starts = positions if np.ndim(positions) == 3 else [positions] * len(heat)
     if len(starts) != len(heat):
-        raise ValueError(f"{len(starts)} starts for {len(heat)} temperatures; give one start, or one per temperature")
+        raise ValueError(
+            f"{len(starts)} initial tissues for {len(heat)} temperatures; give one, or one per temperature"
+        )
     plans = zip(np.random.SeedSequence(seed).generate_state(len(heat)).tolist(), heat, strict=True)
     runs = [Annealer(model, resolution, algorithm, number, np.full(sweeps, value)) for number, value in plans]
     states = [run.start(start) for run, start in zip(runs, starts, strict=True)]

@@ -97,7 +97,7 @@ class _Forces:
         )
         point = self._energy.renewed(self._place + moved)
         if not np.isfinite(point.energy):
-            raise ValueError("the forces are not finite; move apart backbones that coincide")
+            raise ValueError("the forces are not finite; move backbones that coincide apart")
         return point.gradient.ravel()
 
 
@@ -155,7 +155,7 @@ def infer_parameters(
     place = np.asarray(as_positions(positions, tube))
     members = _members(types, len(place), tension is None)
     if not (np.isfinite(modulus) and modulus > 0) or not (tension is None or np.isfinite(tension)):
-        raise ValueError(f"modulus={modulus}, tension={tension}: give a positive modulus, and a finite tension or none")
+        raise ValueError(f"modulus={modulus}, tension={tension}: give a positive modulus, and a finite tension or None")
     forces = _Forces(place, tube, adhesion, as_resolution(resolution))
     rows = _inner_rows(forces, place, tube) if inner_only else np.ones(place.size, bool)
     # parameters are tension / modulus, and by how much the target volume of each type is above the mean volume
@@ -179,13 +179,17 @@ def _members(types: Any, cells: int, seeks_tension: bool) -> Float[np.ndarray, "
     """A row for each type that is 1 for its cells; refuses what can't be told."""
     given = np.zeros(cells, int) if types is None else np.asarray(types)
     if given.shape != (cells,):
-        raise ValueError(f"types of shape {given.shape} for {cells} cells; give the type of each")
+        raise ValueError(f"types have shape {given.shape}; give the type of each of the {cells} cells")
     names, kinds = np.unique(given, return_inverse=True)
     if seeks_tension and len(names) == cells > 1:
-        told = "tension and a target volume of every cell are known only up to a common factor of tension and V - T"
-        raise ValueError(f"{told}; give the tension, or types that several cells share")
+        told = (
+            "with a separate target volume V_0 for each cell, tension and V - V_0 are known only up to a common factor"
+        )
+        raise ValueError(f"{told}; give the tension, or give several cells the same type")
     if not seeks_tension and len(names) == 1:
-        raise ValueError("one target volume is the mean volume, and the tension is given: nothing is left to infer")
+        raise ValueError(
+            "nothing is left to infer: the tension is given, and a single target volume is the mean volume; give types"
+        )
     return (kinds == np.arange(len(names))[:, None]).astype(float)
 
 
@@ -199,7 +203,7 @@ def _inner_rows(forces: _Forces, positions: Float[np.ndarray, "n 2"], tube: Tube
     force = np.abs(forces(0.0, weights)).reshape(-1, 2).max(axis=1)
     inner = force <= 1e-6 * force.max()
     if not inner.any():
-        raise ValueError("every cell touches an end or has a neighbor that does; leave out inner_only")
+        raise ValueError("every cell touches an end of the tube or has such a neighbor; give inner_only=False")
     return np.repeat(inner, 2)
 
 
@@ -219,9 +223,9 @@ def _fit_robustly(
     calm = np.repeat(pull <= STEEP * np.median(pull), 2)
     design, goal = ((parts.T / sizes) @ free)[calm], -(elastic + given @ parts)[calm]
     if design.shape[0] <= design.shape[1] or np.linalg.svd(design, compute_uv=False).min() < SAME:
-        told = f"{design.shape[0]} forces do not tell {design.shape[1]} parameters apart"
+        told = f"{design.shape[0]} forces do not determine {design.shape[1]} parameters"
         raise ValueError(
-            f"{told}: walls pull alike on all sides, or there are too few; give the tension or fewer types"
+            f"{told}: the pulls of the walls cancel, or there are too few cells; give the tension or fewer types"
         )
     weights, scale, found = np.ones(len(goal)), 0.0, np.zeros(design.shape[1])
     for _ in range(ROUNDS):
@@ -252,8 +256,8 @@ def _with_errors(fit: Callable[..., Fit], forces: _Forces) -> tuple[Fit, Float[n
     size = np.clip(displaced(FEW)[1], SMALL * forces.width, LARGE * forces.width)
     others, noise = displaced(MANY)
     if noise > LARGE * forces.width:
-        told = f"the tissue is far from a minimum: forces as if positions were off by {noise / forces.width:.2g}"
-        warnings.warn(f"{told} cell widths; relax it, or anneal at a low temperature", stacklevel=4)
+        told = f"the tissue is far from a minimum: the forces correspond to displacements of {noise / forces.width:.2g}"
+        warnings.warn(f"{told} cell widths; relax the tissue, or anneal it at a low temperature", stacklevel=4)
     share = noise / size
     spread, shift = share * others.std(axis=0, ddof=1), share**2 * (others.mean(axis=0) - found.parameters)
     return found, np.hypot(spread, shift), noise

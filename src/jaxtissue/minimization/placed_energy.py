@@ -13,7 +13,7 @@ from jaxtissue.minimization.lbfgs import Point
 
 REACH = 0.5  # mean cell widths that a backbone may move between two checks of the lists
 ITERATIONS = 15  # between two checks
-RELAXED = "relaxed"
+RELAXED = "converged"
 
 
 class RelaxRecord(NamedTuple):

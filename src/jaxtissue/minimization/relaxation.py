@@ -131,10 +131,12 @@ def relax(
             bar.update(int(record.step > 0))
             bar.set_postfix(energy=f"{record.energy:.5g}", gradient=f"{record.gradient:.2g}")
             asked = callback is not None and bool(callback(record, place))
-            ended = ended or ("ended by the callback" if asked else "")
+            ended = ended or ("stopped by the callback" if asked else "")
             if ended:
                 break
-    return RelaxResult(place, history[-1].energy, history, ended == RELAXED, ended or f"{steps} steps played")
+    return RelaxResult(
+        place, history[-1].energy, history, ended == RELAXED, ended or f"reached the maximum of {steps} steps"
+    )
 
 
 def _descend(
@@ -144,7 +146,7 @@ def _descend(
     longest = REACH * energy.width
     here = energy.renewed(positions * energy.units)
     if not np.isfinite(here.energy):
-        cure = "move apart backbones that coincide, or anneal a few sweeps first"
+        cure = "move backbones that coincide apart, or anneal a few sweeps first"
         raise ValueError(f"the energy or its gradient is not finite at the start; {cure}")
     least, before = tolerance * float(np.linalg.norm(here.gradient)), np.inf
     for step in range(steps + 1):
@@ -152,7 +154,7 @@ def _descend(
         if record.gradient <= least:
             ended = RELAXED
         elif before - here.energy <= STALLED * abs(here.energy):
-            ended = "no step leads down any more"
+            ended = "no step lowers the energy further"
         yield Stage(record, energy.positions(here.place), ended)
         before, reach = here.energy, longest
         while step < steps and reach > SHORTEST * longest:

@@ -67,7 +67,9 @@ def tissue_energy(
     """
     if isinstance(model.domain, Domain) != isinstance(neighbors, SectionNeighbors):
         given, kind = type(neighbors).__name__, type(model.domain).__name__
-        raise TypeError(f"neighbors are a {given} for a {kind}; use NeighborList.allocate(positions, domain)")
+        raise TypeError(
+            f"neighbors of type {given} do not match a {kind}; use NeighborList.allocate(positions, domain)"
+        )
     positions = as_rows(positions, column_names(model.domain), len(neighbors))
     check_numbers(model, len(positions), HALF)
     if isinstance(model.domain, Domain):
