@@ -62,15 +62,19 @@ def test_outliers_do_not_move_the_axis(tmp_path, positions):
 def test_what_is_no_table_of_centroids_is_refused(tmp_path, positions):
     points = centroids(positions)
     for columns, shown, told in (
-        (("x", "y", "z"), 10 * points, "centroids lie 62 to 62 from their axis, cells 4 to 8; give sizes"),
-        (("x", "y", "z"), points[:5], "there are 5 centroids"),
+        (
+            ("x", "y", "z"),
+            10 * points,
+            "centroids are 62 to 62 from their axis, but the radii are 4 and 8; use one unit",
+        ),
+        (("x", "y", "z"), points[:5], "5 centroids are too few"),
         (("x (um)", "y (um)", "z (px)"), points, "units"),
         (("x", "y", "depth"), points, "no column 'axial'"),
     ):
         with pytest.raises(ValueError, match=told) as refusal:
             read_backbones(write(tmp_path / "cells.csv", columns, shown), TUBE)
         assert str(refusal.value).startswith(str(tmp_path)) and "\n" not in str(refusal.value)
-    with pytest.raises(ValueError, match="--degrees is for angles"):
+    with pytest.raises(ValueError, match="--degrees applies to angles"):
         read_backbones(write(tmp_path / "cells.csv", ("x", "y", "z"), points), TUBE, degrees=True)
 
 

@@ -124,5 +124,5 @@ def test_settings_of_a_run_on_a_domain() -> None:
     assert settings.place == jt.Sphere(1.0, 2.0)
     assert float(settings.annealer(1).model.domain.basal_radius) == 2
     assert saved_settings({"format": FORMAT, "arguments": asdict(settings)}, {}, "here") == settings
-    with pytest.raises(ValueError, match="domain is a Sphere; only a tube"):
+    with pytest.raises(ValueError, match="is a Sphere, but only a tube"):
         _ = settings.tube

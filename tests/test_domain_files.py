@@ -143,8 +143,8 @@ def test_every_shape_is_written_and_read_with_its_backbones(tmp_path, domain):
     np.testing.assert_allclose(read.positions, place / size, rtol=1e-15)  # unit vectors are normalized
     assert read.names == tuple("abcde")
     if "angle" not in domain.columns:
-        with pytest.raises(ValueError, match="--degrees is for angles"):
+        with pytest.raises(ValueError, match="--degrees applies to angles"):
             read_backbones(table, domain, degrees=True)
     table.write_text("axis,angles\n1,2\n")
-    with pytest.raises(ValueError, match=f"begin it with {','.join(domain.columns)}"):
+    with pytest.raises(ValueError, match=f"give the header {','.join(domain.columns)}"):
         read_backbones(table, domain)

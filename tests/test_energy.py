@@ -92,7 +92,10 @@ OWN = {
     "whole numbers": (lambda cells, model: cells.volume.astype(int), "int32"),
     "no numbers": (lambda cells, model: jnp.log(-cells.volume), "is nan in float32"),
     "infinite": (lambda cells, model: cells.volume * 1e30 * 1e30, "is inf in float32 .*--x64"),
-    "array of its own": (lambda cells, model: cells.volume * jnp.arange(57.0), "raises an error .*compute each cell on its own"),
+    "array of its own": (
+        lambda cells, model: cells.volume * jnp.arange(57.0),
+        "raises an error .*compute each cell on its own",
+    ),
     "others": (lambda cells, model: cells.volume / cells.volume.mean(), "depends on several cells"),
     "place": (lambda cells, model: cells.volume + jnp.roll(cells.lateral_area, 1), "depends on several cells"),
 }

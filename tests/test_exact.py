@@ -180,7 +180,9 @@ def test_cells_far_along_a_long_tube(length: float, tolerance: float) -> None:
 
 def test_tubes_too_long_for_qhull_are_refused() -> None:
     positions = random_positions(30) + np.array([70_000.0, 0.0])
-    with pytest.raises(ValueError, match=r"length=100000.0 is 3.33e\+04 times basal_radius; .* at most 10000 basal radii"):
+    with pytest.raises(
+        ValueError, match=r"length=100000.0 is 3.33e\+04 times basal_radius; .* at most 10000 basal radii"
+    ):
         exact_cells(positions, Tube(1e5, 1.0, 3.0))
 
 

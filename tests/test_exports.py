@@ -256,7 +256,7 @@ def test_a_cell_without_apical_area_has_no_ratio(tissue, recwarn):
 
 def test_a_folder_without_a_run_is_named(tmp_path, capsys):
     assert main(["export", str(tmp_path), "--to", "csv", "--out", str(tmp_path / "out")]) == 2
-    assert "holds no backbones.csv" in capsys.readouterr().err
+    assert "contains no backbones.csv" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -199,7 +199,7 @@ BAD_ARGUMENTS = [
     ("", "--out"),
     ("--out {}", "is not empty"),
     ("--out {}/o --ratio 1", "--ratio: 1"),
-    ("--out {}/o --ratio 2 --apical-radius 1", "leave one out"),
+    ("--out {}/o --ratio 2 --apical-radius 1", "remove one of them"),
     ("--out {}/o --apical-radius 1 10", "apical_radius=10.0"),
     ("--out {}/o --seed", "--seed"),
     ("--out {}/o --seed 1 2 1", "seed=1 is given twice"),
@@ -243,7 +243,7 @@ def test_a_grid_grows_and_keeps_its_rows(whole, tmp_path, monkeypatch, capsys) -
     assert main([*run, "--ratio", "8", "--seed", "0", "1"]) == 0
     more = [*run, "--ratio", "2", "8", "--seed", "0", "1"]
     with together(folder, lambda _: None):  # while another part is at work
-        assert main(more) == 2 and "then the grid can grow" in capsys.readouterr().err
+        assert main(more) == 2 and "then add values" in capsys.readouterr().err
     assert main(more) == 0 and same_grid(folder, whole)
     assert done == [(0.5, 0), (0.5, 1), (2.0, 0), (2.0, 1)]
     manifest = read_sealed(folder / "manifest.json", "")

@@ -62,7 +62,7 @@ def test_measure_leaves_pictures_and_a_page_that_needs_nothing_else(tissue, tmp_
     assert page.count("src='data:image/png;base64,") == page.count("src=") == 3
     assert "http" not in page and "scutoid fraction" in page
     monkeypatch.setitem(sys.modules, "pyvista", None)
-    with pytest.warns(UserWarning, match=r"tissue.png is left out: .* pip install 'jaxtissue\[viz\]'"):
+    with pytest.warns(UserWarning, match=r"tissue.png is not drawn: .* pip install 'jaxtissue\[viz\]'"):
         assert main(["measure", *given, str(tmp_path / "flat")]) == 0
     assert [path.name for path in (tmp_path / "flat").glob("*.png")] == ["surfaces.png"]
 
@@ -133,7 +133,7 @@ def test_the_command_draws_what_measure_left(tissue, tmp_path, capsys):
     assert capsys.readouterr().out == f"{tmp_path / 'tissue.png'}\n"
     assert imread(tmp_path / "tissue.png").std() > 0.1
     for arguments, told in (
-        (["--what", "movie"], "needs the sweeps of a run"),
+        (["--what", "movie"], "needs the stored sweeps of a run"),
         (["--what", "cell", "--cell", "16"], "give 0 to 15"),
         (["--out", str(tmp_path / "a.jpg")], "must end in .png"),
         (["--what", "surfaces", "--cell", "3"], "--cell is for --what cell, scutoid, internal"),

@@ -179,9 +179,9 @@ def test_other_compilers_and_processors_are_told(stopped, copy, capsys) -> None:
     write_sealed(folder / "manifest.json", manifest)
     assert main(["anneal", "--out", str(folder), "--resume"]) == 0
     error = capsys.readouterr().err
-    assert "processor abacus and now" in error and f"jax 0.1 and now {jax.__version__}" in error
+    assert "processor was abacus, now" in error and f"jax was 0.1, now {jax.__version__}" in error
     assert main(["anneal", "--out", str(folder), "--resume", "--finish"]) == 0
-    assert "and now" not in capsys.readouterr().err  # as it was when the run was taken up the last time
+    assert "round-off" not in capsys.readouterr().err  # as it was when the run was taken up the last time
 
 
 def test_what_a_killed_process_left_is_swept(stopped, copy, tmp_path) -> None:

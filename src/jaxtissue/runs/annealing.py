@@ -61,16 +61,16 @@ def resume_annealing(folder: Path, given: Mapping[str, Any], finish: bool = Fals
     decides bits is warned of. Raises `ValueError` for other settings or backbones, and for damaged files.
     """
     if not (folder / "checkpoint.npz").is_file():
-        raise ValueError(f"{folder} has no checkpoint to resume; leave --resume out to begin there")
+        raise ValueError(f"{folder} contains no checkpoint to resume; remove --resume to start a new run there")
     if finish and "sweeps" in given:
-        raise ValueError("--finish makes no more sweeps; leave --sweeps out")
+        raise ValueError("--finish runs no more sweeps; remove --sweeps")
     with Stop() as stop, alone(folder):
         run = take_up(folder, given, finish)
         if run is None:
-            say(f"{folder} is finished; nothing to do")
+            say(f"the run in {folder} is already finished; increase --sweeps to continue it")
             return 0
         if changes := other_bits([run.manifest, *run.manifest["resumed"]][-1]):
-            say(f"warning: bits may not be those of a run in one piece: {changes}")
+            say(f"warning: round-off may differ from that of an uninterrupted run: {changes}")
         if finish and not run.manifest["finished"]:
             run.cut()
             _finish(run, flat)
@@ -122,8 +122,8 @@ def _sweep(run: Run, stop: Stop) -> bool:
                     run.kept[record.sweep] = positions
             if compiling:
                 compiling = False
-                told = f"acceptance {records[-1].acceptance:.2g} in sweep {records[-1].sweep}"
-                say(f"compiled in {run.annealer.compile_seconds:.1f} s; annealing, {told}")
+                told = f"acceptance rate {records[-1].acceptance:.2g} in sweep {records[-1].sweep}"
+                say(f"compiled in {run.annealer.compile_seconds:.1f} s; {told}")
                 bar.set_description("annealing", refresh=False)
             if doubt := watch.doubt(records):
                 say(f"warning: {doubt}")
@@ -146,7 +146,11 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
     model, settings = run.annealer.model, run.settings
     connectivity, place = None, run.state.positions
     is_tube = isinstance(model.domain, Tube)
-    say("measuring and drawing" if settings.no_contacts else "measuring, tracing contacts, drawing")
+    say(
+        "measuring cells and drawing figures"
+        if settings.no_contacts
+        else "measuring cells and contacts, drawing figures"
+    )
     if not settings.no_contacts:
         connectivity = contacts_of_run(place, model.domain, settings.minimum_contact)
     columns, summary = tabulate_cells(place, model, settings.resolution, run.names, connectivity)
@@ -167,7 +171,7 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
         Tissue(f"sweep {sweep}", shown[sweep], volumes[sweep], own) for sweep, own in zip(ends, maps, strict=True)
     ]
     figures: list[Any] = [
-        partial(plot_energy, sweeps, measured, "total, of the table of cells"),
+        partial(plot_energy, sweeps, measured, "total, measured as in cells.csv"),
         partial(plot_volumes, list(volumes), list(volumes.values()), float(model.mean_volume)),
         partial(plot_surfaces, model.domain, tissues),
     ]

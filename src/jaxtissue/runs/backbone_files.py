@@ -109,7 +109,9 @@ def _in_radians(table: _Table, positions: np.ndarray, degrees: bool) -> np.ndarr
     """The positions with all angles in radians."""
     angles = [k for k, name in enumerate(table.columns) if name.split("_")[-1] == "angle"]
     if degrees and not angles:
-        raise ValueError(f"--degrees is for angles, and {table.path} has {', '.join(table.columns)}; leave it out")
+        raise ValueError(
+            f"--degrees applies to angles, but {table.path} has {', '.join(table.columns)}; remove --degrees"
+        )
     for k in angles:
         positions[:, k] = _radians(table, table.columns[k], positions[:, k], degrees)
     return positions
@@ -119,9 +121,13 @@ def _place(table: _Table, points: np.ndarray, tube: Tube, degrees: bool) -> tupl
     """(axial, angle) of backbones through the centroids of a table, with a word of doubt, and what joins layers."""
     units = {table.units[table.names.index(name)] for name in table.columns}
     if len(units) > 1:
-        raise ValueError(f"{table.path} has centroids in several units by its header {table.header!r}; give one")
+        raise ValueError(
+            f"the header {table.header!r} of {table.path} gives centroids in different units; use one unit"
+        )
     if degrees:
-        raise ValueError(f"--degrees is for angles, and {table.path} has {', '.join(table.columns)}; leave it out")
+        raise ValueError(
+            f"--degrees applies to angles, but {table.path} has {', '.join(table.columns)}; remove --degrees"
+        )
     joined = _join(table) if table.columns == layer_tables.COLUMNS else None
     try:
         found = joined.place(tube) if joined else place_centroids(points, tube)
@@ -162,7 +168,7 @@ def _read_table(path: Path, columns: Sequence[str], centroids: bool) -> _Table:
     physical = re.split("\r\n|\r|\n", text)
     first = next((line for line in physical if line.strip()), None)
     if first is None:
-        raise ValueError(f"{path} is empty; begin it with {','.join(columns)} and give one line per backbone")
+        raise ValueError(f"{path} is empty; give the header {','.join(columns)} and one line per backbone")
     separator = max(SEPARATORS, key=first.count)  # the first of those that are as frequent
     records = list(_records(path, physical, separator))
     header = [field.strip() for field in records[0][1]]
@@ -175,16 +181,16 @@ def _read_table(path: Path, columns: Sequence[str], centroids: bool) -> _Table:
         columns = tilted_columns(columns)
     for name in columns:
         if name not in names:
-            found = f"{name!r} but {first.strip()!r}"
-            raise ValueError(f"{path} has no column {found}; begin it with {','.join(columns)}")
+            found = f"{name!r}, only {first.strip()!r}"
+            raise ValueError(f"{path} has no column {found}; give the header {','.join(columns)}")
     for name in names:
         if name and names.count(name) > 1:
-            raise ValueError(f"{path} has the column {name!r} twice in {first.strip()!r}; leave one out")
+            raise ValueError(f"{path} has the column {name!r} twice in {first.strip()!r}; remove one of them")
     if len(records) == 1:
-        raise ValueError(f"{path} has no cells; give one line {','.join(columns)} per backbone")
+        raise ValueError(f"{path} contains only a header; give one line {','.join(columns)} per backbone")
     for line, row in records[1:]:
         if any(row[len(names) :]):
-            raise ValueError(f"{path} line {line} has more than the {len(names)} columns; correct it")
+            raise ValueError(f"{path} line {line} has more fields than the header, {len(names)}; correct it")
         row += [""] * (len(names) - len(row))
     lines, rows = zip(*records[1:], strict=True)
     table = _Table(path, columns, first.strip(), names, units, list(lines), list(rows), separator != ",")
@@ -201,7 +207,7 @@ def _records(path: Path, physical: list[str], separator: str) -> Iterator[tuple[
         try:
             row = next(reader, None)
         except csv.Error as error:
-            reason = f"a quote that is not closed or not alone in its field ({error})"
+            reason = f"a quotation mark that is not closed, or text outside the quotation marks ({error})"
             raise ValueError(f"{path} line {begin} has {reason}; correct it") from error
         if row is None:
             return
@@ -218,7 +224,7 @@ def _refuse_swallowed(table: _Table, physical: list[str], separator: str) -> Non
             fields = physical[line - 1].split(separator)
             numbers = [_parse(fields[at], table.comma) for at in places if at < len(fields)]
             if len(numbers) == len(table.columns) and None not in numbers:
-                told = f"a quote that swallows line {line}, {physical[line - 1]!r}"
+                told = f"an unclosed quotation mark that includes line {line}, {physical[line - 1]!r}"
                 raise ValueError(f"{table.path} line {begin} has {told}; close it")
 
 
@@ -234,8 +240,8 @@ def _parse(field: str, comma: bool) -> float | None:
 def _numbers(table: _Table, name: str) -> list[float]:
     fields, marks = table.column(name), ("," * table.comma, ".")
     if all(any(mark and mark in field for field in fields) for mark in marks):
-        told = f"{name} has decimal commas and points"
-        raise ValueError(f"{table.path}: {told}; write all numbers alike")
+        told = f"the column {name} contains both decimal commas and decimal points"
+        raise ValueError(f"{table.path}: {told}; use one of them")
     values = []
     for line, field in zip(table.lines, fields, strict=True):
         value = _parse(field, table.comma)
@@ -250,15 +256,15 @@ def _radians(table: _Table, name: str, angle: Float[np.ndarray, " n"], degrees: 
     """Angles in radians, by the header's unit or as told; a doubt where they look like degrees."""
     unit = table.units[table.names.index(name)]
     if unit not in RADIANS + DEGREES or (degrees and unit in RADIANS[1:]):
-        asked = "--degrees reads" if degrees else "angles are read in"
-        told = f"{table.path} has angles in {unit!r} by its header {table.header!r}"
-        raise ValueError(f"{told}, {asked} {'degrees' if degrees else 'radians or degrees'}; correct one")
+        told = f"the header {table.header!r} of {table.path} gives angles in {unit!r}"
+        cure = "remove --degrees, or correct the header" if degrees else "use rad or deg"
+        raise ValueError(f"{told}; {cure}")
     if degrees or unit in DEGREES:
         return np.radians(angle)
     largest = np.abs(angle).max()
     whole = largest > 2 * math.pi and (angle == np.round(angle)).all()
     if largest > 4 * math.pi or whole:
-        told = f"{table.path} has angles up to {largest:g}: they are taken as radians"
+        told = f"{table.path} has angles up to {largest:g}, which are read as radians"
         warnings.warn(f"{told}; add --degrees if they are degrees", stacklevel=3)
     return angle
 
@@ -292,8 +298,8 @@ def _repeated(table: _Table, column: str, names: list[str]) -> str:
     seen: dict[str, int] = {}
     for line, name in zip(table.lines, names, strict=True):
         if not name:
-            return f"{table.path} line {line}: {column} is empty; name the cell or leave the column out"
+            return f"{table.path} line {line}: {column} is empty; give the cell a name, or remove the column"
         if name in seen:
-            return f"{table.path} line {line}: {column}={name!r} is also on line {seen[name]}; rename one"
+            return f"{table.path} line {line}: {column}={name!r} is also on line {seen[name]}; rename one of the cells"
         seen[name] = line
     return ""

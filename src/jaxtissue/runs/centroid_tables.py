@@ -22,8 +22,8 @@ COLUMNS = (
 FEW = 8  # centroids that an axis needs
 WITHIN = 0.9  # of the centroids that have to lie between the two radii
 DOUBT = (
-    "has centroids, not backbones: cells made from them have other walls (in relaxed tubes volumes are off by 4 % and "
-    "1 to 5 % of the neighbors are others, elsewhere more); if there is an image, use: jaxtissue fit"
+    "contains centroids, not backbones: the cells are approximate (in relaxed tubes volumes are wrong by 4 % and "
+    "1 to 5 % of the neighbors differ, elsewhere more); if you have a segmented image, use jaxtissue fit instead"
 )
 
 
@@ -55,7 +55,9 @@ def place_centroids(points: Points, tube: Tube) -> Float[np.ndarray, "n 2"]:
     [1.0, 13.0]
     """
     if len(points) < FEW:
-        raise ValueError(f"there are {len(points)} centroids; give at least {FEW}, or backbones as axial,angle")
+        raise ValueError(
+            f"{len(points)} centroids are too few; give at least {FEW}, or backbones in columns axial,angle"
+        )
     frame = min((_fit_axis(points, axis, tube) for axis in np.linalg.eigh(np.cov(points.T))[1].T), key=lambda f: f[0])[
         1
     ]
@@ -63,8 +65,8 @@ def place_centroids(points: Points, tube: Tube) -> Float[np.ndarray, "n 2"]:
     radius = np.hypot(place[:, 1], place[:, 2])
     low, high = float(tube.apical_radius), float(tube.basal_radius)
     if np.mean((radius > low) & (radius < high)) < WITHIN:
-        told = f"centroids lie {radius.min():.4g} to {radius.max():.4g} from their axis, cells {low:g} to {high:g}"
-        raise ValueError(f"{told}; give sizes and centroids in one unit, and voxels times their sides")
+        told = f"centroids are {radius.min():.4g} to {radius.max():.4g} from their axis, but the radii are {low:g} and {high:g}"
+        raise ValueError(f"{told}; use one unit of length, and multiply voxel numbers by the sides of a voxel")
     middle = (place[:, 0].min() + place[:, 0].max()) / 2
     return np.stack([place[:, 0] - middle + float(tube.length) / 2, np.arctan2(place[:, 2], place[:, 1])], axis=-1)
 

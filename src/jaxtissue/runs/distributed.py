@@ -36,7 +36,7 @@ class Part:
             if self.joined:
                 multihost_utils.sync_global_devices(name)
         except RuntimeError as error:
-            raise ConnectionError(f"another process is lost ({error})") from error
+            raise ConnectionError(f"the connection to another process was lost ({error})") from error
 
 
 def slurm_part(environment: Mapping[str, str] = os.environ) -> Part:
@@ -48,10 +48,12 @@ def slurm_part(environment: Mapping[str, str] = os.environ) -> Part:
     names = ("ID", "COUNT", "MIN", "STEP")
     task = {name: environment.get(f"SLURM_ARRAY_TASK_{name}") for name in names}
     if not (task["ID"] and task["COUNT"]):
-        raise ValueError("SLURM_ARRAY_TASK_ID and _COUNT are not set; use --slurm within sbatch --array")
+        raise ValueError(
+            "SLURM_ARRAY_TASK_ID and SLURM_ARRAY_TASK_COUNT are not set; use --slurm only in a job of sbatch --array"
+        )
     number, rest = divmod(int(task["ID"]) - int(task["MIN"] or 0), int(task["STEP"] or 1))
     if rest or not 0 <= number < int(task["COUNT"]):
-        raise ValueError(f"SLURM_ARRAY_TASK_ID={task['ID']} is of an array with gaps; use --array=0-N")
+        raise ValueError(f"SLURM_ARRAY_TASK_ID={task['ID']}: the job array has gaps; submit it with --array=0-N")
     return Part(number, int(task["COUNT"]))
 
 
@@ -67,5 +69,5 @@ def join(coordinator: str | None, place: tuple[int, int] | None) -> Part:
         jax.distributed.initialize(coordinator, count, number, shutdown_timeout_seconds=3600)
     except (RuntimeError, ValueError) as error:
         remedy = "give --coordinator HOST:PORT and --process K/N"
-        raise ValueError(f"the processes can't be joined ({error}); {remedy}") from error
+        raise ValueError(f"the processes can't connect to each other ({error}); {remedy}") from error
     return Part(jax.process_index(), jax.process_count(), joined=True)

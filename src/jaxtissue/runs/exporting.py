@@ -81,9 +81,7 @@ def _export(tissue: TissueRecord, folder: Path, name: str, spacing: Spacing | No
                 inside = [path.name for path in target.iterdir() if path.suffix not in OWN_SUFFIXES]
                 foreign = [name for name in inside if name not in OWN_NAMES]
                 if foreign or not part.is_dir():
-                    raise ValueError(
-                        f"{target} holds {foreign[:1] or 'files'}, which no export wrote; take another --out"
-                    )
+                    raise ValueError(f"{target} contains other files than exports {foreign[:1]}; choose another --out")
                 shutil.rmtree(target)
             os.replace(part, target)
             written.append(target)

@@ -71,7 +71,7 @@ class GridRun:
     def load(self, number: int) -> dict[str, Any]:
         """A row that is done. Raises `ValueError` where a bit of it, or of its backbones, has changed."""
         path = self.path(number, "rows", "json")
-        remedy = f"remove {path}, and the row is annealed again"
+        remedy = f"remove {path} and repeat the command to anneal this row again"
         kept = read_sealed(path, remedy)
         check_files(self.folder, kept["files"], remedy)
         return {"row": number} | kept["row"]
@@ -86,7 +86,7 @@ def run_grid(folder: Path, grid: Grid, part: Part, force: bool = False, batch: i
     already; nothing is written then.
     """
     if force and part.count > 1 and not part.joined:
-        raise ValueError("--force would remove what other parts have done; remove the folder instead")
+        raise ValueError("--force would remove the results of other parts; remove the folder yourself instead")
     check_grid_folder(folder, grid, force)
 
     def prepare(is_alone: bool | None) -> None:
@@ -109,14 +109,14 @@ def _go_on(run: GridRun, batch: int) -> int:
     for number in sorted(set(everyone) - set(missing)):
         run.load(number)  # what is damaged is told before hours are spent
     missing = [number for number in mine if number in set(missing)]
-    done = f"{len(mine) - len(missing)} of this part's {len(mine)} are done"
-    _say(f"{len(run.rows)} rows in {run.folder}; {done}")
+    done = f"{len(mine) - len(missing)} of {len(mine)} rows of this part are done"
+    _say(f"the grid in {run.folder} has {len(run.rows)} rows; {done}")
     if missing and run.rows[0].domain is None:
         _say(_memory([run.rows[number] for number in missing], batch))
     if _anneal(run, missing, batch) and (not run.part.joined or _await_others(run)):
         return _finish(run)
     assert run.stop.signal is not None
-    _say(f"stopped by {run.stop.signal.name}; what is done is kept, and the same command goes on")
+    _say(f"stopped by {run.stop.signal.name}; finished rows are saved; repeat the command to continue")
     return 128 + run.stop.signal
 
 
@@ -143,11 +143,11 @@ def check_grid_folder(folder: Path, grid: Grid, force: bool) -> list[str]:
     remedy = "choose another folder or add --force"
     before = read_sealed(manifest, remedy)
     if before.get("format") != FORMAT or not isinstance(before.get("rows"), int):
-        raise ValueError(f"{manifest} is of another command or version; {remedy}")
+        raise ValueError(f"{manifest} was written by another command or version; {remedy}")
     try:
         return grid.growth(before["arguments"])
     except ValueError as error:
-        told = f"{error} of the grid in {folder}, which may only get more values"
+        told = f"{error} of the grid in {folder}, to which values can only be added"
         raise ValueError(f"{told}; {remedy}") from error
 
 
@@ -156,8 +156,10 @@ def _prepare(folder: Path, grid: Grid, force: bool, is_alone: bool | None) -> No
     path = folder / "manifest.json"
     grown, there = check_grid_folder(folder, grid, force), path.is_file()
     if (force or grown) and is_alone is False:
-        change = "the grid can grow" if grown else "it can begin anew"
-        raise ValueError(f"other processes are at the grid in {folder}; wait for them, then {change}")
+        change = "add values" if grown else "start again"
+        raise ValueError(
+            f"other processes are working on the grid in {folder}; wait until they have ended, then {change}"
+        )
     make_folder(folder, FILES if force else ())
     for name in FOLDERS:
         make_subfolder(folder / name)
@@ -169,7 +171,7 @@ def _prepare(folder: Path, grid: Grid, force: bool, is_alone: bool | None) -> No
         remove_leftovers(folder)
     kept = read_sealed(path, "") if there and not force else {"format": FORMAT, "grown": []} | provenance()
     if changes := other_bits(kept):
-        _say(f"warning: bits of rows may not be those of the rows that are there: {changes}")
+        _say(f"warning: round-off may differ from that of the existing rows: {changes}")
     if grown or not there or force:
         news = {"arguments": grid.arguments, "rows": len(grid.rows), "finished": None}
         more = [{"axes": grown} | provenance()] if grown else []
@@ -226,7 +228,7 @@ def _finish(run: GridRun) -> int:
     while (written := len(table.get("row", ()))) < len(everyone) - len(run.missing(everyone)):
         table = _gather(run)  # another part has added a row
     if written == len(everyone):
-        manifest = read_sealed(run.folder / "manifest.json", "begin anew with --force")
+        manifest = read_sealed(run.folder / "manifest.json", "start again with --force")
         if not manifest["finished"]:
             write_sealed(run.folder / "manifest.json", manifest | {"finished": now()})
         varied = [name for name in run.grid.axes if len(run.grid.axes[name]) > 1]

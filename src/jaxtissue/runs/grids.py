@@ -35,20 +35,20 @@ class Grid:
     def __post_init__(self) -> None:
         for name, values in self.axes.items():
             if name not in AXES:
-                raise ValueError(f"{name!r} is no axis of a grid; use one of {', '.join(AXES)}")
+                raise ValueError(f"{name!r} is not a grid parameter; use one of {', '.join(AXES)}")
             if not values:
-                raise ValueError(f"{name} has no values; give at least one or leave it out")
+                raise ValueError(f"{name} has no values; give at least one, or remove it")
             for value in values:
                 if values.count(value) > 1:
-                    raise ValueError(f"{name}={value} is given twice; leave one out")
+                    raise ValueError(f"{name}={value} is given twice; remove one of them")
         for name in self.shared:
             if name not in _SETTINGS or name in self.axes:
-                raise ValueError(f"{name!r} can't be shared by all rows; leave it out")
+                raise ValueError(f"{name!r} is not a setting that all rows share; remove it")
         if {"ratio", "apical_radius"} <= self.axes.keys():
-            raise ValueError("ratio and apical_radius both set the lumen; leave one out")
+            raise ValueError("ratio and apical_radius both set the radius of the lumen; remove one of them")
         for name in SIZES:
             if self.shared.get("domain") is not None and name in self.axes:
-                raise ValueError(f"{name} is a size of tubes; leave it or the domain out")
+                raise ValueError(f"{name} is a size of a tube, but a domain is given; remove {name} or the domain")
         for row in self.rows:
             _ = row.place
 

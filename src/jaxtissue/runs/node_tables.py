@@ -29,10 +29,10 @@ def group_nodes(
     for name in names:
         where = f"{path} line {lines[first[name]]}"
         if not name:
-            raise ValueError(f"{where}: cell is empty; name the cell")
+            raise ValueError(f"{where}: cell is empty; give the cell a name")
         if number[name] != number[names[0]]:
-            told = f"cell={name!r} has {number[name]} nodes, and {names[0]!r} has {number[names[0]]}"
-            raise ValueError(f"{where}: {told}; give all as many")
+            told = f"cell={name!r} has {number[name]} nodes, but cell={names[0]!r} has {number[names[0]]}"
+            raise ValueError(f"{where}: {told}; give all cells the same number of nodes")
     order = np.lexsort((height, [first[name] for name in cells]))
     nodes = np.concatenate([points, np.asarray(height)[:, None]], axis=1)[order]
     k = number[names[0]]

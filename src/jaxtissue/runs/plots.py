@@ -58,7 +58,7 @@ def save_figure(path: Path, draw: Callable[[], tuple[Figure, Any]]) -> None:
             FigureCanvasAgg(figure).print_png(image, pil_kwargs={"compress_level": 1})  # a third of the time
     except Exception as error:
         path.unlink(missing_ok=True)
-        warnings.warn(f"{path.name} can't be drawn ({error}); it is left out", stacklevel=2)
+        warnings.warn(f"{path.name} could not be drawn ({error}) and is missing", stacklevel=2)
         return
     with replacing(path, "wb") as file:
         file.write(image.getvalue())

@@ -83,7 +83,7 @@ def run_relaxation(folder: Path, settings: Settings, descent: Descent, force: bo
         if stop.signal:
             write_sealed(folder / MANIFEST, manifest | {"finished": None})
             again = f"jaxtissue relax --backbones {folder / 'backbones.csv'} --domain {folder / DOMAIN} --out DIR"
-            say(f"stopped by {stop.signal.name} after step {result.history[-1].step}; go on with: {again}")
+            say(f"stopped by {stop.signal.name} after step {result.history[-1].step}; continue with: {again}")
             return 128 + stop.signal
         _finish(folder, settings, initial, names, result, manifest)
     return 0
@@ -101,7 +101,11 @@ def _finish(
     from jaxtissue.runs.plots import Tissue, plot_relaxation, plot_surfaces, plot_volumes, save_figure
     from jaxtissue.runs.viewing import leave_pictures
 
-    say("measuring and drawing" if settings.no_contacts else "measuring, tracing contacts, drawing")
+    say(
+        "measuring cells and drawing figures"
+        if settings.no_contacts
+        else "measuring cells and contacts, drawing figures"
+    )
     model, place, connectivity = settings.model, result.positions, None
     domain = model.domain
     if not settings.no_contacts:

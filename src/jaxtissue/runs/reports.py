@@ -129,7 +129,7 @@ def contacts_of_run(
     except ValueError as error:
         if isinstance(domain, Tube):
             raise
-        warnings.warn(f"contacts are left out: {error}", stacklevel=3)
+        warnings.warn(f"contacts are not computed: {error}", stacklevel=3)
         return None
 
 

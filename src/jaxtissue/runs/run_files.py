@@ -35,7 +35,7 @@ from jaxtissue.system.files import (
 
 RESULTS = (INITIAL, BACKBONES, CELLS, SWEEPS, *CONTACT_TABLES, *FIGURES)
 NEEDED = ("arguments", "cooling_sweeps", "compile_seconds", "files", "finished", "resumed")  # of a manifest
-AGAIN = "start again with --force"
+AGAIN = "add --force to start again from the beginning"
 
 
 @dataclass
@@ -122,18 +122,20 @@ def take_up(folder: Path, given: Mapping[str, Any], finish: bool) -> Run | None:
     manifest = read_sealed(folder / MANIFEST, AGAIN)
     settings = saved_settings(manifest, given, str(folder))
     if missing := [name for name in NEEDED if name not in manifest]:
-        raise ValueError(f"{folder / 'manifest.json'} is damaged (it lacks {missing[0]!r}); {AGAIN}")
+        raise ValueError(f"{folder / 'manifest.json'} is damaged ({missing[0]!r} is missing); {AGAIN}")
     jax.config.update("jax_enable_x64", settings.x64)
     check_files(folder, {INITIAL: manifest["files"][INITIAL]}, AGAIN)
     initial = read_backbones(folder / INITIAL, settings.place)
     if given.get("backbones"):
         same = read_backbones(Path(given["backbones"]), settings.place, settings.degrees)
         if same.names != initial.names or not np.array_equal(same.positions, initial.positions):
-            raise ValueError(f"--backbones {given['backbones']} differs from the run to resume; leave it out")
+            raise ValueError(
+                f"--backbones {given['backbones']} differs from the backbones of the run to resume; remove --backbones"
+            )
     checkpoint = storage.load_checkpoint(folder / CHECKPOINT)
     rows = storage.cut_sweeps(folder / SWEEPS, checkpoint.state.sweep, checkpoint.rows, keep=True)
     if manifest["finished"] and settings.sweeps == manifest["arguments"]["sweeps"] and not finish:
-        check_files(folder, manifest["files"], "write it anew with --resume --finish")
+        check_files(folder, manifest["files"], "write it again with jaxtissue anneal --resume --finish")
         return None
     kept = dict(zip(checkpoint.kept_sweeps.tolist(), checkpoint.kept_positions, strict=True))
     annealer = settings.annealer(manifest["cooling_sweeps"])

@@ -50,12 +50,14 @@ def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) ->
         ValueError: If the folder contains no tissue, a tissue that is not in a `Tube`, or an unfinished run.
     """
     if not folder.is_dir():
-        raise ValueError(f"{folder} is not a folder; give one written by anneal, relax, measure or fit")
+        raise ValueError(f"{folder} is not a folder; give a folder written by anneal, relax, measure or fit")
     history: dict[int, np.ndarray] = {}
     if (folder / MANIFEST).is_file() and not (folder / DOMAIN).is_file():
-        manifest = read_sealed(folder / MANIFEST, "write it anew with --resume --finish")
+        manifest = read_sealed(folder / MANIFEST, "write it again with jaxtissue anneal --resume --finish")
         if not (folder / BACKBONES).is_file():
-            raise ValueError(f"the run in {folder} has not ended; go on with: jaxtissue anneal --out {folder} --resume")
+            raise ValueError(
+                f"the run in {folder} is not finished; continue it with: jaxtissue anneal --out {folder} --resume"
+            )
         tube = Settings(**manifest["arguments"]).tube
         positions, names = read_backbones(folder / BACKBONES, tube)
         if (folder / CHECKPOINT).is_file():
@@ -67,6 +69,6 @@ def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) ->
         positions, names = read_backbones(folder / BACKBONES, tube)
     else:
         raise ValueError(
-            f"{folder} holds no {BACKBONES} with {DOMAIN} or {MANIFEST}; give a folder of anneal, relax or measure"
+            f"{folder} contains no {BACKBONES} with {DOMAIN} or {MANIFEST}; give the folder of a run or a fit"
         )
     return TissueRecord(positions, tube, names, unit, history, tolerance or TOLERANCE)

@@ -71,7 +71,7 @@ class Settings:
         """The domain, for what takes only tubes. Raises `ValueError` for other domains."""
         place = self.place
         if not isinstance(place, Tube):
-            raise ValueError(f"the tissue's domain is a {type(place).__name__}; only a tube can be taken here yet")
+            raise ValueError(f"the domain of the tissue is a {type(place).__name__}, but only a tube is supported here")
         return place
 
     def temperatures(self, cooling_sweeps: int) -> Float[np.ndarray, "sweeps"]:
@@ -101,21 +101,23 @@ def saved_settings(manifest: Mapping[str, Any], given: Mapping[str, Any], place:
     """
     if manifest.get("format") != FORMAT:
         formats = f"format {manifest.get('format')}, this is {FORMAT}"
-        told = f"the run in {place} was begun by another version of jaxtissue ({formats})"
-        raise ValueError(f"{told}; start again with --force")
+        told = f"the run in {place} was started by another version of jaxtissue ({formats})"
+        raise ValueError(f"{told}; add --force to start again from the beginning")
     try:
         saved = Settings(**manifest["arguments"])
     except (KeyError, TypeError) as error:
-        raise ValueError(f"the manifest in {place} is damaged ({error}); start again with --force") from error
+        raise ValueError(
+            f"the manifest in {place} is damaged ({error}); add --force to start again from the beginning"
+        ) from error
     if given.get("backbones") and not saved.backbones:
-        raise ValueError("--backbones is new: the run to resume began with random cells; leave it out")
+        raise ValueError("the run to resume started from random cells; remove --backbones")
     for name, value in given.items():
         before = getattr(saved, name)
         if name == "sweeps" and value < before:
-            raise ValueError(f"--sweeps {value} is below the {before} of the run to resume; it may only grow")
+            raise ValueError(f"--sweeps {value} is less than the {before} of the run to resume; give at least {before}")
         if name not in ("sweeps", "backbones") and value != before:
             option = "--" + name.replace("_", "-")
-            raise ValueError(f"{option} {value} differs from {before} of the run to resume; leave it out")
+            raise ValueError(f"{option} {value} differs from {before}, the value of the run to resume; remove {option}")
     return replace(saved, sweeps=given.get("sweeps", saved.sweeps))
 
 
@@ -163,7 +165,7 @@ def other_bits(before: Mapping[str, Any]) -> str:
     kinds = {"device_kind": "device", "processor": "processor", "compiler": "compiler"}
     pairs = [(told, before.get(name), present[name]) for name, told in kinds.items()]
     pairs += [(name, before.get("versions", {}).get(name), present["versions"][name]) for name in DECISIVE]
-    changes = [f"{name} {then} and now {here}" for name, then, here in pairs if then != here]
+    changes = [f"{name} was {then}, now {here}" for name, then, here in pairs if then != here]
     return "; ".join(changes)
 
 

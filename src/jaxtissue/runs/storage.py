@@ -84,7 +84,7 @@ def cut_sweeps(path: Path, last: int, checksum: str, keep: bool = False) -> "has
 
     Raises `ValueError`, and removes nothing, for a table that does not reach it or of another checksum.
     """
-    rows, remedy = hashlib.sha256(), "start again with --force"
+    rows, remedy = hashlib.sha256(), "add --force to start again from the beginning"
     try:
         with open_own(path, "r+b") as file:
             line = b""
@@ -94,7 +94,7 @@ def cut_sweeps(path: Path, last: int, checksum: str, keep: bool = False) -> "has
             if not line.endswith(b"\n"):
                 raise ValueError(f"{path} is damaged (it has no row for sweep {last}); {remedy}")
             if rows.hexdigest() != checksum:
-                raise ValueError(f"{path} is damaged (the checksum of its rows does not hold); {remedy}")
+                raise ValueError(f"{path} is damaged (the checksum does not match its rows); {remedy}")
             if not keep:
                 file.truncate(file.tell())
     except OSError as error:
@@ -110,9 +110,12 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
 
 def load_checkpoint(path: Path) -> Checkpoint:
     """The checkpoint of a file. Raises `ValueError` where a bit of it is not as it was."""
-    data, remedy = load_arrays(path, "start again with --force"), "start again with --force"
+    data, remedy = (
+        load_arrays(path, "add --force to start again from the beginning"),
+        "add --force to start again from the beginning",
+    )
     try:
         state = AnnealState(int(data["sweep"]), data["positions"], int(data["around"]))
         return Checkpoint(state, data["kept_sweeps"], data["kept_positions"], str(data["rows"]))
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is of another version ({error}); {remedy}") from error
+        raise ValueError(f"{path} was written by another version of jaxtissue ({error}); {remedy}") from error

@@ -60,7 +60,7 @@ def leave_pictures(tissue: TissueRecord, folder: Path, flat: bool = False) -> No
         try:
             view_tissue(tissue, what, folder / picture_name(what))
         except Exception as error:  # results do without
-            warnings.warn(f"{picture_name(what)} is left out: {' '.join(str(error).split())}", stacklevel=2)
+            warnings.warn(f"{picture_name(what)} is not drawn: {' '.join(str(error).split())}", stacklevel=2)
             break
     write_page(folder)
 
@@ -72,7 +72,7 @@ def find_scutoid(tissue: TissueRecord) -> int:
     good = np.flatnonzero((count > 0) & ~found.is_end & ~forms.is_ring & (forms.pieces == 1))
     good = good if len(good) else np.flatnonzero(count > 0)
     if not len(good):
-        raise ValueError("no cell of the tissue is a scutoid; look at --what cell")
+        raise ValueError("no cell of the tissue is a scutoid; use --what cell")
     aside = np.abs(np.asarray(tissue.positions)[good, 0] / float(tissue.tube.length) - 0.5)
     return int(good[np.argmin(np.maximum(count[good], 2) + aside)])
 
@@ -110,7 +110,7 @@ def _draw_scutoid(tissue: TissueRecord, path: Path, cell: int | None) -> None:
     own, transitions = find_scutoid(tissue) if cell is None else cell, tissue.connectivity.transitions
     at = (transitions.cells == own).any(axis=1)
     if not at.any():
-        raise ValueError(f"cell {own} has no transition point; leave --cell out, or look at --what cell")
+        raise ValueError(f"cell {own} has no transition point; remove --cell, or use --what cell")
     around = np.setdiff1d(transitions.cells[at], [own])
     meshes = _mesh(tissue, own, *around.tolist())
     save(draw_cells(meshes, _colors(tissue), [own], around.tolist(), transitions.points[at], tissue.unit), path)
@@ -120,7 +120,8 @@ def _draw_internal(tissue: TissueRecord, path: Path, cell: int | None) -> None:
     contacts = tissue.connectivity.contacts
     inner = np.flatnonzero((contacts.kind == "internal") & (cell is None or (contacts.pairs == cell).any(axis=1)))
     if not len(inner):
-        raise ValueError("no two cells touch only within the tissue there; look at --what cell")
+        what = "tissue" if cell is None else f"cell {cell}"
+        raise ValueError(f"{what} has no internal contact (on neither surface); use --what cell")
     pair = contacts.pairs[inner[np.argmax(contacts.area[inner])]]
     transitions = tissue.connectivity.transitions
     both = np.isin(transitions.cells, pair).sum(axis=1) == 2
@@ -140,7 +141,7 @@ def _draw_surfaces(tissue: TissueRecord, path: Path, cell: int | None) -> None:
 def _draw_movie(tissue: TissueRecord, path: Path, cell: int | None) -> None:
     """The kept sweeps of a run, the cells in the colors of the last one."""
     if not tissue.history:
-        raise ValueError("a movie needs the sweeps of a run that anneal made; look at --what tissue")
+        raise ValueError("a movie needs the stored sweeps of a run of jaxtissue anneal; use --what tissue")
     colors, frames = _colors(tissue), []
     for _, positions in sorted(tissue.history.items()):
         plotter = draw_tissue(cut_open(positions, tissue.tube), colors, tissue.unit)

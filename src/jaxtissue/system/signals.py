@@ -76,9 +76,7 @@ def _answer(told: int) -> None:
 
 def _end(number: int) -> NoReturn:
     """End the process, whatever its threads are at."""
-    line = (
-        f"jaxtissue: error: stopped by {signal.Signals(number).name}; a run can be resumed from its last saved sweep\n"
-    )
+    line = f"jaxtissue: error: stopped by {signal.Signals(number).name}; saved results can be resumed\n"
     try:
         for path in list(BEING_WRITTEN):
             path.unlink(missing_ok=True)
