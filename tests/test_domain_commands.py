@@ -61,7 +61,7 @@ def test_a_grid_on_a_domain(tmp_path, capsys, monkeypatch):
     assert main([*run, str(tmp_path / "grid")]) == 0  # nothing is left to do
     capsys.readouterr()
     assert main([*run, str(tmp_path / "other"), "--ratio", "2"]) == 2
-    assert "--ratio is a size of the domain" in capsys.readouterr().err
+    assert "--ratio conflicts with the domain" in capsys.readouterr().err
 
 
 def test_a_closed_surface_is_seen_from_two_sides():

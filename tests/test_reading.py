@@ -96,7 +96,7 @@ def test_other_tables_are_read(table, text, places, names):
 
 
 REFUSED = {
-    'axial,angle,note\n1,.5,"a\n2,1,ok\n3,2,"\n': "line 2 has an unclosed quotation mark that includes line 3, '2,1,ok'",
+    'axial,angle,note\n1,.5,"a\n2,1,ok\n3,2,"\n': "line 2 has an unclosed quotation mark that includes line 3, '2,1",
     'axial;angle;note\n1;0,5;"a\n2;0,5;ok\n3;2;b"\n': "line 2 has an unclosed quotation mark that includes line 3",
     'axial,angle,note\n1,.5,"a"b\n': "line 2 has a quotation mark",
     "axial,angle,Axial (um)\n1,0.5,2\n": "'axial' twice in 'axial,angle,Axial \\(um\\)'",

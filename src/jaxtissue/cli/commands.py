@@ -104,12 +104,12 @@ def anneal(arguments: dict[str, Any]) -> int:
     if resume:
         return resume_annealing(folder, arguments, finish, flat)
     if finish:
-        raise ValueError("--finish needs a run that was stopped; add --resume")
+        raise ValueError("--finish applies to a run that was stopped; add --resume")
     refuse_both(arguments, "minimum_contact")
     need_relative(arguments, arguments)
     settings = Settings(**arguments)
     if settings.final_temperature is not None and not settings.temperature > 0:
-        raise ValueError("--final-temperature needs an initial temperature above 0; give a --temperature above 0")
+        raise ValueError("--final-temperature requires a positive initial temperature; give a --temperature above 0")
     _use_x64(settings.x64)
     return run_annealing(folder, settings, force, flat)
 
@@ -146,7 +146,7 @@ def grid(arguments: dict[str, Any]) -> int:
     need_relative(arguments, axes)
     runs = Grid(axes, arguments)
     if runs.shared.get("final_temperature") and min(axes.get("temperature", [1.0])) == 0:
-        raise ValueError("--final-temperature needs an initial temperature above 0; give a --temperature above 0")
+        raise ValueError("--final-temperature requires a positive initial temperature; give a --temperature above 0")
     check_grid_folder(folder, runs, force)
     part = find_part(*places)
     use_cores(min(len(part.share(runs.rows)), batch or len(runs.rows)))
@@ -209,7 +209,7 @@ def fit(arguments: dict[str, Any]) -> int:
     report = run_fit(arguments["file"], arguments["spacing"], arguments["shape"], folder, arguments["flat"])
     for name, value in report.items():
         print(f"{name:28}{value:.6g}")
-    print(f"written to {folder}; go on with:")
+    print(f"written to {folder}; continue with:")
     print(
         f"  jaxtissue measure {folder / 'backbones.csv'} --domain {folder / 'domain.json'} --out {folder / 'measured'}"
     )
@@ -233,7 +233,7 @@ def compare(arguments: dict[str, Any]) -> int:
     print("  ".join(f"{name:>10}" for name in errors))
     for preset, *figures in zip(*errors.values(), strict=True):
         print("  ".join([f"{preset:>10}", *(f"{figure:10.2e}" for figure in figures)]))
-    print(f"relative to the mean cell of the exact path ({samples} samples, {exact_seconds:.3g} s)")
+    print(f"errors relative to the mean cell; reference: {samples} samples per backbone, {exact_seconds:.3g} s")
     return 0
 
 

@@ -25,7 +25,7 @@ def refuse_both(arguments: dict[str, Any], *names: str) -> None:
     for name in names:
         if arguments.get("no_contacts") and arguments.get(name):
             option = "--" + name.replace("_", "-")
-            raise ValueError(f"{option} needs contacts; leave out either this option or --no-contacts")
+            raise ValueError(f"{option} needs contacts; remove either this option or --no-contacts")
 
 
 def refuse_tolerance(domain: Tube | Domain, tolerance: float | None) -> None:
@@ -39,7 +39,7 @@ def found_contacts(positions: Any, domain: Tube | Domain, minimum: float) -> Con
     try:
         return find_connectivity(positions, domain, minimum)
     except ValueError as error:
-        raise ValueError(f"{error}; or measure sizes only, with --no-contacts") from error
+        raise ValueError(f"{error}, or measure sizes only, with --no-contacts") from error
 
 
 def read_tissue(arguments: dict[str, Any]) -> tuple[Tube | Domain, BackboneTable]:
@@ -61,7 +61,7 @@ def given_domain(
     for name in sizes:
         if name in arguments:
             option = "--" + name.replace("_", "-")
-            raise ValueError(f"{option} is a size of the domain in {path}; leave out either this option or --domain")
+            raise ValueError(f"{option} conflicts with the domain in {path}; remove either this option or --domain")
     return load(path)
 
 
@@ -69,7 +69,7 @@ def _tube_sizes(arguments: dict[str, Any]) -> list[float]:
     """The sizes of the tube. Raises `ValueError` where one is not given."""
     missing = ["--" + name.replace("_", "-") for name in TUBE_SIZES if name not in arguments]
     if missing:
-        raise ValueError(f"{', '.join(missing)} not given; give all sizes of the tube, or a file with --domain")
+        raise ValueError(f"{', '.join(missing)} missing; give all sizes of the tube, or a file with --domain")
     return [arguments[name] for name in TUBE_SIZES]
 
 
@@ -82,9 +82,11 @@ def find_part(
 ) -> Part:
     """The part of the work that this process does."""
     if not distributed and (coordinator or process):
-        raise ValueError("--coordinator and --process need --distributed; add it")
+        raise ValueError("--coordinator and --process require --distributed; add it")
     if (coordinator is None) != (process is None):
-        raise ValueError("--coordinator and --process need each other; give both, or none in a cluster")
+        raise ValueError(
+            "--coordinator and --process require each other; give both, or none on a cluster that JAX detects"
+        )
     if distributed:
         return join(coordinator, process)
     if slurm:

@@ -15,7 +15,7 @@ def export(arguments: dict[str, Any]) -> int:
     """Write the tissue of a run in the formats of other programs."""
     folder = arguments["out"]
     if arguments["spacing"] and not set(IMAGES) & set(arguments["to"]):
-        raise ValueError(f"--spacing applies to {' and '.join(IMAGES)} only; add one to --to, or leave --spacing out")
+        raise ValueError(f"--spacing applies to {' and '.join(IMAGES)} only; add one to --to, or remove --spacing")
     check_folder(folder, arguments["force"])
     tissue = read_tissue(arguments["run"], arguments["unit"])
     spacing = arguments["spacing"] and tuple(arguments["spacing"])
@@ -30,9 +30,9 @@ def view(arguments: dict[str, Any]) -> int:
     path = arguments["out"] or arguments["run"] / picture_name(what)
     endings = (".gif", ".mp4") if what in MOVIES else (".png",)
     if path.suffix not in endings:
-        raise ValueError(f"--out {path} must end in {' or '.join(endings)} for --what {what}; rename it")
+        raise ValueError(f"--out {path} must end in {' or '.join(endings)} for --what {what}; correct it")
     if arguments["cell"] is not None and what not in OF_CELLS:
-        raise ValueError(f"--cell is for --what {', '.join(OF_CELLS)}, not {what}; leave it out")
+        raise ValueError(f"--cell is for --what {', '.join(OF_CELLS)}, not {what}; remove --cell")
     tissue = read_tissue(arguments["run"], arguments["unit"], LOOKED_AT)
     view_tissue(tissue, what, path, arguments["cell"])
     if not arguments["out"]:

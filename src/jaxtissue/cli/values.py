@@ -37,7 +37,7 @@ def part_of(text: str) -> tuple[int, int]:
     """K/N as the number of a part, counted from 0, and how many there are."""
     first, slash, second = text.partition("/")
     if not (slash and first.isdecimal() and second.isdecimal() and 1 <= int(first) <= int(second)):
-        raise argparse.ArgumentTypeError(f"{text!r} is no part; give K/N with K from 1 to N, such as 2/8")
+        raise argparse.ArgumentTypeError(f"{text!r} is invalid; give K/N with K from 1 to N, such as 2/8")
     return int(first) - 1, int(second)
 
 

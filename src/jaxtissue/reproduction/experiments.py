@@ -26,7 +26,7 @@ Table = dict[str, np.ndarray]
 THRESHOLDS = (0.0, 0.01, 0.02, 0.05)  # smallest walls counted, in mean walls
 BASAL_RADIUS = 10.0
 FORMAT = 10  # of what a folder keeps; raised when other code would compute other values, or read it otherwise
-AGAIN = "remove it, and it is computed again"
+AGAIN = "remove it and repeat the command to compute it again"
 
 
 @dataclass(frozen=True)

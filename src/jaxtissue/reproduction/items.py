@@ -145,7 +145,7 @@ def make_fig16(plan: Plan, store: Store) -> Product:
     inner = (contacts.kind == "internal") & ~is_end[contacts.pairs].any(axis=1)
     pairs, area = contacts.pairs[inner], contacts.area[inner] / contacts.area.mean()
     if not len(pairs):
-        raise ValueError("this tissue has no internal neighbors; leave --quick out")
+        raise ValueError("the small tissue of --quick has no internal neighbors; remove --quick")
     table = {"cell_a": pairs[:, 0], "cell_b": pairs[:, 1], "relative_area": area}
     first, second = (int(cell) for cell in pairs[area.argmax()])
     corners = (found.cells == first).any(axis=1) & (found.cells == second).any(axis=1)

@@ -42,7 +42,7 @@ def choose_items(names: Sequence[str]) -> list[str]:
     """
     unknown = [name for name in names if name not in ITEMS and name != "all"]
     if unknown:
-        raise ValueError(f"unknown item {unknown[0]!r}; use all or any of {', '.join(ITEMS)}")
+        raise ValueError(f"unknown item {unknown[0]!r}; use all, or some of {', '.join(ITEMS)}")
     return [item for item in ITEMS if not names or item in names or "all" in names]
 
 
@@ -65,7 +65,7 @@ def reproduce(
     manifest = _open(folder, plan, force)
     for item in items:
         if item in manifest["items"] and not force:
-            _say(f"{item} is there already; --force makes it anew")
+            _say(f"{item} is already computed; add --force to compute it again")
             continue
         _say(f"{item}: {(ITEMS[item].__doc__ or '').splitlines()[0]}")
         begun = time.perf_counter()
@@ -84,13 +84,13 @@ def _open(folder: Path, plan: Plan, force: bool) -> dict[str, Any]:
     path = folder / "manifest.json"
     arguments = json.loads(json.dumps(asdict(plan)))
     if folder.exists() and not path.exists() and not is_empty(folder) and not force:
-        raise ValueError(f"the output folder {folder} holds other files; choose another or add --force")
+        raise ValueError(f"the output folder {folder} contains other files; choose another or add --force")
     manifest: dict[str, Any] = {"format": FORMAT, "plan": arguments, "items": {}}
     saved = _read_manifest(path, force) if path.exists() else manifest
     planned: dict[str, Any] = saved.get("plan", {})
     if saved.get("format") != FORMAT:
         if not force:
-            _say(f"{folder} was filled by another version; all that is asked for is made anew")
+            _say(f"{folder} was written by another version of jaxtissue; the requested items are computed again")
         _forget(folder / "data")
     elif planned == arguments:
         whole = {name: item for name, item in saved["items"].items() if _is_whole(folder, name, item, force)}
@@ -98,7 +98,7 @@ def _open(folder: Path, plan: Plan, force: bool) -> dict[str, Any]:
     elif not force:
         kind = "--quick" if planned.get("quick") else "full"
         other = next((name for name in arguments if planned.get(name) != arguments[name]), "quick")
-        found = f"{folder} holds a {kind} run with {other} = {planned.get(other)}, not {arguments[other]}"
+        found = f"{folder} contains a {kind} run with {other} = {planned.get(other)}, not {arguments[other]}"
         raise ValueError(f"{found}; choose another or add --force")
     make_folder(folder)
     write_sealed(path, manifest)  # a run stopped at the first item finds its own folder
@@ -118,7 +118,7 @@ def _read_manifest(path: Path, force: bool) -> dict[str, Any]:
             return {}
         raise
     if not saved.keys() >= _OWN:
-        raise ValueError(f"{path} is no manifest of this command; choose another folder")
+        raise ValueError(f"{path} was not written by this command; choose another folder")
     return saved
 
 
@@ -144,7 +144,7 @@ def _is_whole(folder: Path, item: str, made: dict[str, Any], force: bool) -> boo
     if not all((folder / name).is_file() for name in made["files"]):
         return False
     try:
-        check_files(folder, made["files"], f"remove it, and {item} is made again")
+        check_files(folder, made["files"], f"remove it and repeat the command to compute {item} again")
     except ValueError:
         if not force:
             raise

@@ -78,8 +78,8 @@ class Workers:
             for future in as_completed(numbers):
                 yield numbers[future], future.result()
         except BrokenProcessPool as error:
-            told = "a worker process died: killed, or out of memory"
-            raise ChildProcessError(f"{told}; the same command goes on with what is kept") from error
+            told = "a worker process died: it was killed, or memory ran out"
+            raise ChildProcessError(f"{told}; repeat the command to continue from the saved results") from error
         finally:  # where one failed or the others are not wanted
             for future in numbers:
                 future.cancel()

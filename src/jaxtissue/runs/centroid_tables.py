@@ -65,7 +65,8 @@ def place_centroids(points: Points, tube: Tube) -> Float[np.ndarray, "n 2"]:
     radius = np.hypot(place[:, 1], place[:, 2])
     low, high = float(tube.apical_radius), float(tube.basal_radius)
     if np.mean((radius > low) & (radius < high)) < WITHIN:
-        told = f"centroids are {radius.min():.4g} to {radius.max():.4g} from their axis, but the radii are {low:g} and {high:g}"
+        found = f"{radius.min():.4g} to {radius.max():.4g}"
+        told = f"centroids are {found} from their axis, but the radii are {low:g} and {high:g}"
         raise ValueError(f"{told}; use one unit of length, and multiply voxel numbers by the sides of a voxel")
     middle = (place[:, 0].min() + place[:, 0].max()) / 2
     return np.stack([place[:, 0] - middle + float(tube.length) / 2, np.arctan2(place[:, 2], place[:, 1])], axis=-1)

@@ -147,7 +147,7 @@ def _print_result(
     first, last = result.history[0], result.history[-1]
     print(f"cells            {len(result.positions)}")
     print(f"steps            {last.step}, {last.evaluations} evaluations in {last.seconds:.3g} s")
-    print(f"ended            {result.message}")
+    print(f"status           {result.message}")
     print(f"{f'energy, {settings.resolution}':17}{energy['initial']:.6g} -> {energy['final']:.6g}")
     print(f"{'energy, measured':17}{energy['final_measured']:.6g}")
     print(f"{'gradient':17}{first.gradient:.3g} -> {last.gradient:.3g}")
