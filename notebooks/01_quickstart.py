@@ -11,9 +11,10 @@
 # %% [markdown]
 # # Quickstart: from a random tube to its scutoids
 #
-# A tube of epithelium in which each cell is given by its *backbone*, a straight segment from the inner (apical) to the
-# outer (basal) surface. You will measure the cells, relax the tissue, look at it in three dimensions, and count who
-# touches whom. Lengths have the unit of the tube's sizes, here micrometers.
+# This notebook simulates a tube of epithelium. Each cell is represented by its *backbone*, a straight segment from the
+# inner (apical) to the outer (basal) surface. You will measure the cells, relax the tissue, view it in three
+# dimensions, and count the neighbors of the cells. All lengths have the unit in which you give the sizes of the tube,
+# here micrometers.
 
 # %%
 # %matplotlib inline
@@ -27,7 +28,7 @@ from IPython.display import Image
 
 import jaxtissue as jt
 
-os.chdir(tempfile.mkdtemp())  # the commands below leave their files here
+os.chdir(tempfile.mkdtemp())  # the commands below write their files here
 
 tube = jt.Tube(length=16, apical_radius=4, basal_radius=8)
 positions = tube.random_positions(jax.random.key(2), 60)  # a row for each cell: position along the axis, angle
@@ -35,7 +36,8 @@ print(tube)
 
 # %% [markdown]
 # ## Cells
-# Each cell is the part of the tissue that is nearer to its backbone than to any other. Together they fill the tube.
+# Each cell is the part of the tissue that is nearer to its own backbone than to any other. Together the cells fill the
+# tube.
 
 # %%
 cells = jt.measure_tissue(positions, tube)
@@ -44,8 +46,9 @@ print(f"all of them / tube: {cells.volume.sum() / tube.volume:.6f}")
 
 # %% [markdown]
 # ## Relaxing the tissue
-# Random cells differ a lot. The energy E = sum of K/2 (Vbar - V)^2 + Lambda A asks for equal volumes V and small walls
-# A between cells. In each *sweep* every backbone tries one small move, by the rule of Metropolis.
+# The volumes of random cells differ a lot. The energy E = sum of K/2 (Vbar - V)^2 + Lambda A is low if all volumes V
+# are equal and the areas A of the walls between cells are small. In each *sweep*, one small move of every backbone is
+# proposed, and accepted or rejected by the Metropolis rule.
 
 # %%
 result = jt.anneal(positions, tube, sweeps=40, temperature=2.0)
@@ -61,8 +64,9 @@ figure
 
 # %% [markdown]
 # ## The tissue in three dimensions
-# The command `jaxtissue measure` takes a table of backbones and leaves tables and pictures in a folder. Here the tube
-# is cut open: the lumen, the small apical surfaces round it, and the large basal surfaces outside.
+# The command `jaxtissue measure` reads a table of backbones and writes tables and pictures to a folder. In the picture,
+# the tube is cut open. It shows the lumen, the small apical surfaces of the cells around the lumen, and their large
+# basal surfaces on the outside.
 
 # %%
 np.savetxt("annealed.csv", result.positions, delimiter=",", header="axial,angle", comments="")
@@ -74,24 +78,24 @@ np.savetxt("annealed.csv", result.positions, delimiter=",", header="axial,angle"
 Image("annealed/tissue.png", width=600)
 
 # %% [markdown]
-# Unrolled, the two surfaces show that cells have other neighbors on the basal surface (top) than on the apical one
-# (bottom). Somewhere between they change.
+# The two surfaces, unrolled: a cell can have different neighbors on the basal surface (top) and on the apical surface
+# (bottom). Between the two surfaces, these cells change neighbors.
 
 # %%
 Image("annealed/surfaces.png", width=700)
 
 # %% [markdown]
 # ## A scutoid
-# A cell that changes neighbors along its height is a scutoid. Each black ball is a *transition point*, where four cells
-# meet: two of them stop touching there, and the other two begin to.
+# A cell that changes neighbors along its height is a scutoid. Each black ball marks a *transition point*, where four
+# cells meet: two of them lose contact there, and the other two come into contact.
 
 # %%
 Image("annealed/scutoid.png", width=600)
 
 # %% [markdown]
-# ## Who touches whom
-# The same in numbers. Contacts and transition points are traced along the edges of the diagram, in 64 bits. A contact
-# reaches both surfaces, only one of them, or none (`internal`).
+# ## Contacts between cells
+# `find_connectivity` finds all contacts and transition points by tracing the edges of the Voronoi diagram in 64 bits. A
+# contact reaches both surfaces (`apical_basal`), only one of them (`apical` or `basal`), or neither (`internal`).
 
 # %%
 tissue = jt.find_connectivity(result.positions, tube)
@@ -101,4 +105,4 @@ for kind in ("apical_basal", "apical", "basal", "internal"):
 print(f"in all {summary['neighbors']:.2f}; scutoids: {summary['scutoid_fraction']:.0%} of the cells")
 
 # %% [markdown]
-# More: `02_scutoids` explains the kinds of neighbors, `05_image_to_model` begins with a segmented image of yours.
+# The notebook `02_scutoids` explains the kinds of neighbors. `05_image_to_model` starts from a segmented image.

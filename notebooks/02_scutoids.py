@@ -11,8 +11,8 @@
 # %% [markdown]
 # # Scutoids and kinds of neighbors
 #
-# Why do cells of a curved epithelium change neighbors between their two surfaces? First four cells, where everything is
-# known by a formula, then whole tissues.
+# Why do the cells of a curved epithelium change neighbors between their two surfaces? This notebook first shows four
+# cells, for which the transition point is known from a formula, and then whole tissues.
 
 # %%
 # %matplotlib inline
@@ -26,13 +26,14 @@ from IPython.display import Image
 
 import jaxtissue as jt
 
-os.chdir(tempfile.mkdtemp())  # the commands below leave their files here
+os.chdir(tempfile.mkdtemp())  # the commands below write their files here
 COLORS = np.array([[0, 114, 178], [230, 159, 0], [0, 158, 115], [204, 121, 167]], np.uint8)
 
 # %% [markdown]
 # ## Four cells
-# Two backbones lie at angles +a and -a, two others ahead and behind at a distance h along the axis. The first two move
-# apart as the tube widens, so the other two come into contact: at the radius h / sin(a) all four meet in one point.
+# Two backbones are at the angles +a and -a. Two others lie between them at angle 0, at a distance h ahead and behind
+# along the axis. With increasing radius, the distance between the first two increases, so the other two come into
+# contact: at the radius h / sin(a) all four cells meet in one point.
 
 # %%
 a, h = 0.6, 0.85
@@ -43,8 +44,8 @@ for place, met in zip(tissue.transitions.points, tissue.transitions.cells, stric
     print(f"cells {met.tolist()} meet at radius {np.hypot(*place[1:]):.6f}; h / sin(a) = {h / np.sin(a):.6f}")
 
 # %% [markdown]
-# Sections of the four cells on layers from the apical to the basal surface: blue and orange touch below, green and pink
-# above. All four are scutoids.
+# Sections of the four cells at four radii, from the apical to the basal surface. At small radii the blue and the orange
+# cell are in contact, at large radii the green and the pink one. All four cells are scutoids.
 
 
 # %%
@@ -67,9 +68,9 @@ figure
 
 # %% [markdown]
 # ## Four kinds of neighbors
-# In a tissue a contact may reach both surfaces, only the apical, only the basal, or neither. The larger the surface
-# ratio R_b / R_a, the fewer neighbors a cell keeps from one surface to the other, and the more it has in all. The
-# tissues are random, with 100 cells of equal mean volume; cells that touch an end of the tube are left out.
+# A contact can reach both surfaces, only the apical surface, only the basal surface, or neither. The larger the surface
+# ratio R_b / R_a, the fewer contacts reach both surfaces, and the more neighbors a cell has in total. The tissues are
+# random, with 100 cells each. Cells that touch an end of the tube are not counted.
 
 # %%
 KINDS = {"apical_basal": "#0072B2", "apical": "#E69F00", "basal": "#009E73", "internal": "#CC79A7"}
@@ -100,9 +101,9 @@ for ratio, row in zip(ratios, rows, strict=True):
 
 # %% [markdown]
 # ## An internal pair
-# Two cells that touch within the tissue only: on neither surface an observer would call them neighbors. The wall
-# between them opens at transition points below and closes at others above, the black balls. The picture is by
-# `jaxtissue view`, of the tissue with ratio 5.
+# These two cells are in contact only inside the tissue: on both surfaces they are not neighbors. The wall between them
+# begins at transition points at a small radius and ends at transition points at a larger radius (black balls). The
+# command `jaxtissue view` draws the picture, from the tissue with the ratio 5.
 
 # %%
 np.savetxt("random.csv", tissues[5], delimiter=",", header="axial,angle", comments="")

@@ -9,11 +9,12 @@
 # ---
 
 # %% [markdown]
-# # Approximate against exact Voronoi cells
+# # Accuracy of approximate Voronoi cells
 #
-# Annealing measures millions of cells, so cells are measured on few lines. How large is the error, and what does it
-# save? Here three ways are set against traced edges, which are right to about 1e-5 of the mean cell: lines (`draft`,
-# `standard`, `fine`), sampled backbones (the paper's way, `exact_cells`), and counting voxels.
+# Annealing measures cells millions of times. It therefore measures them on a small number of quadrature lines. How
+# large is the error, and how much time does this save? This notebook compares three methods: quadrature lines (`draft`,
+# `standard`, `fine`), sampled backbones (the method of the paper, `exact_cells`), and counting voxels. The reference
+# are sizes from traced edges, which are accurate to about 1e-5 of the mean cell.
 
 # %%
 # %matplotlib inline
@@ -31,9 +32,9 @@ truth = jt.find_connectivity(positions, tube).sizes
 
 # %% [markdown]
 # ## What is exact
-# The distance to a backbone is that to a segment, in closed form. On a line parallel to the axis every cell is one
-# interval with exact ends, so along any line the cells' lengths add up to the length of the tube. That sum shows
-# whether a neighbor was overlooked.
+# The distance from a point to a backbone, a segment, has a closed form. On a line parallel to the axis, each cell is
+# one interval, and its two ends are computed exactly. The lengths of all cells along a line therefore add up to the
+# length of the tube, unless a neighbor is missing. The largest error of this sum is the *tiling defect*.
 
 # %%
 measurers = {preset: jt.CellMeasurer(tube, preset) for preset in ("draft", "standard", "fine")}
@@ -43,8 +44,8 @@ print(f"largest error of that sum, as a fraction of the length: {defect:.1e}")
 
 # %% [markdown]
 # ## What is approximated
-# Between the lines, sizes are interpolated. Errors are root mean squares over the cells, as fractions of the mean cell;
-# times are those of the fastest of some calls, with lists of neighbors kept, as while a tissue moves.
+# Between the lines, sizes are interpolated. The table shows root mean square errors over the cells, as fractions of the
+# mean cell, and the time of the fastest of several calls with existing neighbor lists, as during annealing.
 
 
 # %%
@@ -105,10 +106,9 @@ panels[0].legend(frameon=False)
 plt.close(figure)
 figure
 
-# %% [markdown]
-# The times are of a busy machine; the page on accuracy has those of a quiet one, and the errors on eight reference
-# tubes.
+# %% [markdown] These times were measured on a busy machine. The page on accuracy has times of an idle machine, and the
+# errors on eight reference tubes.
 #
-# `measure_tissue` finds neighbors anew, gives each size a bound of its error, and traces the cells beyond the limits.
-# Which one to take: `draft` for moves, whose temperature hides such errors; `standard` for tables; tracing
-# (`find_connectivity`) wherever neighbors are counted.
+# `measure_tissue` finds the neighbors, estimates the error of each size, and traces the cells whose error is too large.
+# Use `draft` for annealing, where the temperature causes larger differences than these errors, `standard` for tables of
+# cells, and tracing (`find_connectivity`) to count neighbors.

@@ -11,7 +11,8 @@
 # %% [markdown]
 # # Many tissues at once
 #
-# One tissue is an anecdote. Here a grid of tissues is annealed as replicas of one compiled program.
+# General conclusions need more than one tissue. This notebook anneals a grid of tissues as replicas, which run in one
+# compiled program.
 
 # %%
 # %matplotlib inline
@@ -22,12 +23,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-os.chdir(tempfile.mkdtemp())  # the commands below leave their files here
+os.chdir(tempfile.mkdtemp())  # the commands below write their files here
 
 # %% [markdown]
 # ## A grid from the command line
-# Two surface ratios, three temperatures and two seeds are 12 tissues of 30 cells. The table grows with new values and
-# goes on where it was stopped; rows are spread over the cores of the machine.
+# Two surface ratios, three temperatures and two seeds give 12 tissues of 30 cells each, one per row of the table. The
+# rows are distributed over the processor cores. If the command is stopped, the same command continues with the missing
+# rows, and values can be added later.
 
 # %% language="bash"
 # jaxtissue grid --ratio 1.5 5 --temperature 1 10 100 --seed 0 1 \
@@ -52,15 +54,14 @@ panels[0].legend(frameon=False)
 plt.close(figure)
 figure
 
-# %% [markdown]
-# Each point is a tissue, lines are means over the seeds. Hot tissues stay far from equal volumes; neighbors depend on
-# the surface ratio much more than on the temperature. The same command with `--seed 0 1 2` would anneal the six rows
-# that are missing then, and no other.
+# %% [markdown] Each point is one tissue; lines are means over the seeds. At high temperature the volumes remain
+# unequal. The number of neighbors depends much more on the surface ratio than on the temperature. The same command with
+# `--seed 0 1 2` would anneal only the six new rows.
 
 # %% [markdown]
 # ## Replicas of your own
-# `jt.step` is one sweep as a pure function, so `vmap` makes replicas of it, on CPUs and GPUs alike: here each of
-# sixteen has its own temperature.
+# `jt.step` computes one sweep and is a pure function, so `jax.vmap` can run it for several replicas at once, on CPUs
+# and GPUs. In this example, sixteen replicas have different temperatures:
 #
 # ```python
 # states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (16, *leaf.shape)), jt.init(positions, model))
@@ -68,5 +69,5 @@ figure
 # states, info = sweep(jax.random.split(jax.random.key(0), 16), states, jnp.geomspace(1, 1000, 16))
 # ```
 #
-# `jt.temper` makes replicas at several temperatures that exchange their tissues. On clusters `jaxtissue grid --slurm`
-# shares out the rows: see the page on grids of tissues.
+# `jt.temper` anneals replicas at several temperatures that exchange their tissues (parallel tempering). On a cluster,
+# `jaxtissue grid --slurm` distributes the rows over the jobs of a job array; see the page on grids of tissues.

@@ -11,9 +11,9 @@
 # %% [markdown]
 # # From a segmented image to a model
 #
-# A label image in, volumes, neighbors and scutoids out: first straight from the voxels, then from a model that is
-# fitted to them. The image here is drawn from a tissue of our own, so that we know what should come out. With
-# an image of yours, begin at the second step, with `tifffile.imread("labels.tif")`.
+# This notebook obtains volumes, neighbors and scutoids from a label image, first directly from the voxels, then from a
+# model that is fitted to the image. The image is computed from a simulated tissue, so the correct results are known. To
+# use your own image, read it with `image = tifffile.imread("labels.tif")` and set `spacing` to the sides of its voxels.
 
 # %%
 # %matplotlib inline
@@ -32,7 +32,7 @@ print(image.shape, image.dtype, len(np.unique(image)) - 1, "cells")
 
 # %% [markdown]
 # ## What the image shows
-# Each color is a cell. On the left a slice along the tube, on the right one across it: the lumen is the hole.
+# Each color is one cell. The left slice is along the tube, the right one across it, with the lumen in the center.
 
 
 # %%
@@ -54,7 +54,7 @@ show(image, "image")
 
 # %% [markdown]
 # ## Measuring the voxels
-# No model is needed for volumes, contacts and scutoids.
+# `measure_labels` counts voxels and their faces. It needs no model for volumes, contacts and scutoids.
 
 # %%
 seen = jt.measure_labels(image, spacing)
@@ -63,8 +63,8 @@ print(f"neighbors {seen.neighbors.mean():.2f}, scutoids {seen.is_scutoid.mean():
 
 # %% [markdown]
 # ## Fitting the tissue
-# `fit_tissue` finds the tube and the backbones whose Voronoi walls run where the image has walls. The report says
-# how well: look at `voxels_same` first.
+# `fit_tissue` finds the tube and the backbones whose Voronoi cells agree best with the cells of the image. The report
+# shows how well they agree. Check `voxels_same` first, the fraction of voxels that have the same label in both.
 
 # %%
 fit = jt.fit_tissue(image, spacing)
@@ -73,15 +73,15 @@ for name, value in fit.report.items():
     print(f"{name:18}{value:.4g}")
 
 # %% [markdown]
-# Where the model labels a voxel otherwise than the image does, it is at a wall.
+# The voxels whose label differs between model and image are located at the walls.
 
 # %%
 show(np.where(fit.voxels == image, 0, image), "voxels that differ")
 
 # %% [markdown]
-# ## What the model tells beyond the image
-# Walls are traced to their ends, so kinds of neighbors and transition points are exact for the model. Beside them is
-# the tissue that the image was drawn from.
+# ## What the model adds to the image
+# The walls of the model are traced along all their edges, so its contacts and transition points are exact. They are
+# compared with those of the tissue from which the image was computed.
 
 # %%
 for name, tissue in (("drawn from", jt.find_connectivity(truth, tube)), ("fitted", fit.connectivity)):
@@ -100,5 +100,5 @@ plt.close(figure)
 figure
 
 # %% [markdown]
-# The model goes on where the image ends: `jt.anneal(fit.positions, fit.domain)` relaxes it, and the command
-# `jaxtissue fit labels.tif --out fitted` writes all of this into a folder.
+# The fitted tissue can be simulated further, for example with `jt.anneal(fit.positions, fit.domain)`. The command
+# `jaxtissue fit labels.tif --out fitted` performs all these steps and writes the results to a folder.

@@ -9,10 +9,10 @@
 # ---
 
 # %% [markdown]
-# # Out to Fiji, napari, ParaView and networkx
+# # Export to Fiji, napari, ParaView and networkx
 #
-# Each format is written by its own library, and here each file is read back by the one that you would open it with. The
-# extras `io` and `viz` are needed: `pip install 'jaxtissue[io,viz]'`.
+# This notebook exports a tissue to several file formats and reads each file with the library that is commonly used for
+# it. It needs the extras `io` and `viz`: `pip install 'jaxtissue[io,viz]'`.
 
 # %%
 # %matplotlib inline
@@ -37,14 +37,15 @@ from IPython.display import Image
 
 import jaxtissue as jt
 
-os.chdir(tempfile.mkdtemp())  # the commands below leave their files here
+os.chdir(tempfile.mkdtemp())  # the commands below write their files here
 tube = jt.Tube(length=16, apical_radius=2, basal_radius=6)
 random = tube.random_positions(jax.random.key(3), 60)
 np.savetxt("cells.csv", random, delimiter=",", header="axial,angle", comments="")
 
 # %% [markdown]
-# ## One command writes them all
-# `--spacing` are the sides of a voxel along z, y and x, `--unit` is written into the files.
+# ## Export
+# `--spacing` gives the sides of a voxel along z, y and x. `--unit` gives the unit of length, which is stored in the
+# files.
 
 # %% language="bash"
 # jaxtissue measure cells.csv --length 16 --apical-radius 2 --basal-radius 6 --flat --out run
@@ -56,8 +57,8 @@ for path in sorted(Path("out").iterdir()):
 
 # %% [markdown]
 # ## Fiji and napari: an image of labels
-# Each voxel has the number of its cell. In Fiji open `labels.ome.tif`, in napari drop it on the window as labels. Here
-# a slice across the tube and one along it.
+# The value of a voxel is the number of its cell + 1, and 0 outside the tissue. Open `labels.ome.tif` in Fiji, or as a
+# labels layer in napari. The figure shows a slice across the tube and one along it.
 
 # %%
 with tifffile.TiffFile("out/labels.ome.tif") as file:
@@ -75,9 +76,8 @@ figure
 
 # %% [markdown]
 # ## ParaView: cells, walls, backbones and transition points
-# Open `cells.vtu`, `backbones.vtp` and `transitions.vtp` together. PyVista draws the same: half of the cells by their
-# number of neighbors, and the backbones of the
-# others in black.
+# Open `cells.vtu`, `backbones.vtp` and `transitions.vtp` together in ParaView. Here PyVista reads the first two and
+# draws half of the cells, colored by their number of neighbors, and the backbones of the other cells in black.
 
 # %%
 solid, lines = pyvista.read("out/cells.vtu"), pyvista.read("out/backbones.vtp")
@@ -103,9 +103,9 @@ plotter.close()
 Image("cells.png", width=600)
 
 # %% [markdown]
-# ## Blender and printers: closed meshes
-# `cells.glb` has a node for each cell; `ply` and `stl` make a file for each. Neighbors share the triangles of their
-# walls, so volumes add up to the tube's.
+# ## Blender and 3D printers: closed meshes
+# `cells.glb` contains one node per cell; the formats `ply` and `stl` write one file per cell. Neighbors share the
+# triangles of their common wall, so the volumes add up to the volume of the tube.
 
 # %%
 scene = trimesh.load("out/cells.glb")
@@ -115,7 +115,8 @@ print(f"sum of the volumes / tube: {volumes.sum() / tube.volume:.5f}")
 
 # %% [markdown]
 # ## networkx: the contact graph
-# Nodes carry the table of cells, edges the wall and its kind. In red are contacts that reach neither surface.
+# The nodes have the columns of the table of cells as attributes, the edges the area and the kind of the contact.
+# Contacts that reach neither surface are drawn in red.
 
 # %%
 graph = nx.read_graphml("out/graph.graphml")
@@ -139,7 +140,7 @@ figure
 
 # %% [markdown]
 # ## pandas
-# The table has shapes beside sizes and neighbors.
+# The table contains sizes, numbers of neighbors and measures of the shapes of the cells.
 
 # %%
 table[["volume", "height", "tilt", "sphericity", "solidity", "neighbors", "transitions"]].describe().loc[

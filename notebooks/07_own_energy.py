@@ -11,8 +11,8 @@
 # %% [markdown]
 # # Your own energy, its gradient, and two cell types
 #
-# An energy is a Python function of the measured cells. Annealing takes any; where JAX can differentiate it, a tissue
-# can also relax down its gradient. Lengths are in micrometers.
+# An energy is a Python function of the measured cells. `jt.anneal` accepts any such function. If JAX can differentiate
+# it, `jt.relax` can minimize it by its gradient. Lengths are in micrometers.
 
 # %%
 # %matplotlib inline
@@ -30,8 +30,9 @@ types = np.random.default_rng(0).integers(0, 2, cells)
 
 # %% [markdown]
 # ## The energy
-# Cells of type 1 (orange) want to be twice as large as those of type 0 (blue). What differs from cell to cell travels
-# with the model as `parameters`. With an `Adhesion`, walls between unlike cells count four times in the lateral area.
+# The target volume of cells of type 1 (orange) is twice that of cells of type 0 (blue). Values that differ between
+# cells are stored in the model as `parameters`. With this `Adhesion`, walls between cells of different types have four
+# times the weight of other walls in the lateral area.
 
 # %%
 share = np.where(types == 1, 2.0, 1.0)
@@ -46,9 +47,9 @@ adhesion = jt.Adhesion(types, np.array([[1.0, 4.0], [4.0, 1.0]]))
 model = jt.tube_model(tube, cells, cell_energy=two_types, parameters=targets, adhesion=adhesion)
 
 # %% [markdown]
-# ## Down its gradient
-# `jt.tissue_energy` is the energy of the whole tissue as a function that JAX differentiates, by positions, sizes of the
-# tube and constants. `jt.relax` goes down its gradient to the next minimum.
+# ## Minimization by the gradient
+# `jt.tissue_energy` computes the energy of the whole tissue. JAX can differentiate it with respect to the positions,
+# the sizes of the tube and the constants of the model. `jt.relax` follows the gradient to a local minimum.
 
 # %%
 relaxed = jt.relax(positions, model)
@@ -60,8 +61,8 @@ for record in relaxed.history[:: max(len(relaxed.history) // 4, 1)]:
 
 # %% [markdown]
 # ## Annealing
-# At a temperature cells can pass each other, and the two types sort. Here the random tissue is cooled from T = 20 to T
-# = 0.5.
+# At a temperature above 0 the cells can exchange places, and the two types sort. Here the random tissue is cooled from
+# T = 20 to T = 0.5.
 
 # %%
 sweeps = 80
@@ -101,9 +102,9 @@ plt.close(figure)
 figure
 
 # %% [markdown]
-# Unlike cells share half of the wall at first, and much less when relaxed or annealed: neighbors of one type stay
-# together. In 400 cells 2,000 sweeps bring it down to 16 % (`benchmarks/two_types.py`). And each cell has nearly the
-# volume that it wants:
+# In the random tissue, half of the total wall area is between cells of different types. Relaxation and annealing reduce
+# this fraction, because walls between cells of the same type cost less energy. In a tissue of 400 cells, 2,000 sweeps
+# reduce it to 16 % (`benchmarks/two_types.py`). The volumes of the cells come close to their target volumes:
 
 # %%
 for title, place in steps.items():

@@ -9,10 +9,11 @@
 # ---
 
 # %% [markdown]
-# # The paper's evaluation in small
+# # The evaluation of the paper on small tissues
 #
-# Buceta, Funke and Storandt (GRAPP 2025) ask how neighbors depend on the surface ratio R_b / R_a of a tube. Here is
-# their question with 100 cells instead of 500; `jaxtissue reproduce` does all of it in full size.
+# Buceta, Funke and Storandt (GRAPP 2025) study how the number of neighbors depends on the surface ratio R_b / R_a of a
+# tube. This notebook repeats this study with 100 cells instead of 500. The command `jaxtissue reproduce` repeats the
+# whole evaluation of the paper in its original size.
 
 # %%
 # %matplotlib inline
@@ -26,8 +27,8 @@ ratios = np.array([1.25, 2, 3, 5, 10, 20, 50, 100, 200])
 
 # %% [markdown]
 # ## Neighbors against the surface ratio
-# Random tissues, all cells: neighbors of a cell in three dimensions, its transition points, and the fraction of
-# scutoids.
+# For all cells of a random tissue at each ratio, the table shows the mean number of neighbors in three dimensions, the
+# mean number of transition points, the fraction of scutoids, and the fraction of cells with an internal neighbor.
 
 # %%
 KINDS = {"apical_basal": "#0072B2", "apical": "#E69F00", "basal": "#009E73", "internal": "#CC79A7"}
@@ -49,7 +50,7 @@ for ratio, row in zip(ratios, rows, strict=True):
 
 # %% [markdown]
 # ## The neighbor law
-# The paper fits a logistic function of the logarithm of the ratio, "Flintstones' law".
+# The paper fits the mean number of neighbors by a logistic function of the logarithm of the ratio ("Flintstones' law").
 
 # %%
 neighbors = np.array([row["neighbors"] for row in rows])
@@ -69,14 +70,13 @@ panels[1].legend(frameon=False)
 plt.close(figure)
 figure
 
-# %% [markdown]
-# Up to ratio 10 this is what the paper finds: from ratio 3 on nearly all cells are scutoids. Beyond, the Voronoi cells
-# of straight backbones have more neighbors than the paper's 10.5, most of them internal.
+# %% [markdown] Up to ratio 10 the results agree with the paper, and from ratio 3 on nearly all cells are scutoids. At
+# larger ratios the cells have more neighbors than the 10.5 of the paper. Most of these neighbors are internal.
 
 # %% [markdown]
 # ## What counts as a neighbor
-# The count depends on the smallest wall that counts. Without walls below a few percent of the mean wall the curve
-# levels off near the paper's numbers.
+# The number of neighbors depends on the smallest wall that is counted as a contact. Without walls below a few percent
+# of the mean wall area, the curve levels off near the values of the paper.
 
 # %%
 figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
@@ -90,9 +90,10 @@ plt.close(figure)
 figure
 
 # %% [markdown]
-# ## Bounds of the lemmas
-# How many neighbors can a cell have? The paper bounds them by the tightness phi of the spread of backbones. Measured
-# numbers are far below.
+# ## Upper bounds from the paper
+# How many neighbors can a cell have? Lemmas 1 and 2 and Corollary 1 of the paper give upper bounds that depend on the
+# tightness phi: the largest distance of a point of the tissue to its nearest backbone, divided by the smallest distance
+# of two backbones. The measured numbers are far below these bounds.
 
 # %%
 for row in jt.bound_ratios(positions[10], tube_of(10), tissues[10]):
