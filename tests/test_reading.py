@@ -65,9 +65,9 @@ def test_degrees_are_read_as_told_and_doubted_else(table):
     for unit in ("deg", "°", "Degrees"):
         headed = read_backbones(table(f"axial [mm],angle ({unit})\n1,10\n2,12\n"), TUBE)
         assert headed.positions.tolist() == told.positions.tolist()
-    with pytest.raises(ValueError, match=r"header 'axial,angle \(rad\)' .* gives angles in 'rad'; remove --degrees"):
+    with pytest.raises(ValueError, match=r"header 'axial,angle \(rad\)' gives angles in 'rad'; remove --degrees"):
         read_backbones(table("axial,angle (rad)\n1,1\n"), TUBE, degrees=True)
-    with pytest.raises(ValueError, match=r"header 'axial,angle \(turns\)' .* gives angles in 'turns'"):
+    with pytest.raises(ValueError, match=r"header 'axial,angle \(turns\)' gives angles in 'turns'"):
         read_backbones(table("axial,angle (turns)\n1,1\n"), TUBE)
 
 

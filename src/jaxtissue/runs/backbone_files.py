@@ -121,9 +121,7 @@ def _place(table: _Table, points: np.ndarray, tube: Tube, degrees: bool) -> tupl
     """(axial, angle) of backbones through the centroids of a table, with a word of doubt, and what joins layers."""
     units = {table.units[table.names.index(name)] for name in table.columns}
     if len(units) > 1:
-        raise ValueError(
-            f"the header {table.header!r} of {table.path} gives centroids in different units; use one unit"
-        )
+        raise ValueError(f"{table.path}: the header {table.header!r} gives centroids in different units; use one unit")
     if degrees:
         raise ValueError(
             f"--degrees applies to angles, but {table.path} has {', '.join(table.columns)}; remove --degrees"
@@ -256,7 +254,7 @@ def _radians(table: _Table, name: str, angle: Float[np.ndarray, " n"], degrees: 
     """Angles in radians, by the header's unit or as told; a doubt where they look like degrees."""
     unit = table.units[table.names.index(name)]
     if unit not in RADIANS + DEGREES or (degrees and unit in RADIANS[1:]):
-        told = f"the header {table.header!r} of {table.path} gives angles in {unit!r}"
+        told = f"{table.path}: the header {table.header!r} gives angles in {unit!r}"
         cure = "remove --degrees, or correct the header" if degrees else "use rad or deg"
         raise ValueError(f"{told}; {cure}")
     if degrees or unit in DEGREES:
