@@ -31,14 +31,14 @@ Callback = Callable[[SweepRecord, Float[np.ndarray, "n d"]], Any]
 
 @dataclass(frozen=True, eq=False)
 class AnnealResult:
-    """Result of `anneal`.
+    """Result of `anneal`: the final tissue, its cells, and the energies during the run.
 
     Attributes:
         positions: Axial position and angle in radians of each backbone after the last sweep, shape [n, 2]; on other
             domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
-        cells: Geometry of the cells after the last sweep with estimated errors, a `CellGeometry` measured at
-            "standard". Lateral areas are not weighted by an adhesion.
-        records: One `SweepRecord` for the initial state and one after each sweep.
+        cells: Sizes of the cells after the last sweep with error estimates, a `CellGeometry` measured at "standard".
+            Lateral areas are plain areas, also if the model has an `adhesion`.
+        records: One `SweepRecord` for the initial state and one after each sweep, sweeps + 1 in total.
         model: Energy model of the run.
     """
 

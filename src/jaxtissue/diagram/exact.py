@@ -33,7 +33,7 @@ class ExactDiagram(NamedTuple):
     Attributes:
         volume: V_i, volume of each cell, in cubed length units, shape [n].
         lateral_area: A_i, area of the walls that each cell shares with other cells, in squared length units, shape [n].
-        pairs: Indices a < b of the two cells of each wall, sorted, shape [m, 2].
+        pairs: Indices a < b of the two cells of each wall, sorted by a and then by b, shape [m, 2].
         wall_area: Area of each wall, in squared length units, shape [m].
     """
 

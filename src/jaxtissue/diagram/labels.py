@@ -78,7 +78,7 @@ def label_volumes(
     Args:
         labels: Index of the cell that contains each sample, shape [p].
         weights: Volume that each sample represents, shape [p].
-        count_cells: Number of cells.
+        count_cells: Number of cells, a Python integer (static under `jax.jit`).
 
     Returns:
         Volume of each cell, in the unit of `weights`, shape [count_cells].

@@ -58,11 +58,13 @@ class AnnealState(NamedTuple):
 
 
 class Annealer:
-    """Metropolis-Hastings sweeps in a loop of your own (paper, sections 3.2 and 3.3).
+    """Metropolis-Hastings sweeps that you call from your own loop (paper, sections 3.2 and 3.3).
 
-    `anneal` does the same in one call. Use `Annealer` to stop, save and continue a run, or to choose the algorithm. The
-    trajectory depends only on the arguments, the initial state and the kind of device. Neighbor lists are rebuilt and
-    checked after every span of up to ten sweeps.
+    `anneal` runs all sweeps in one call. Use `Annealer` to stop, save and continue a run, or to choose the algorithm.
+    `start(positions)` returns the initial state. `advance(state)` runs a span of up to ten sweeps and returns the new
+    state, a list of `SweepRecord` and the positions after each sweep, shape [sweeps of the span, n, 2]. Neighbor lists
+    are rebuilt and checked after every span. The trajectory depends only on the arguments, the initial state and the
+    kind of device.
 
     Args:
         model: Energy model; see `tube_model`.

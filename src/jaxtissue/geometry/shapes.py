@@ -51,7 +51,8 @@ class Slab(Shape):
         width: Extent along x. Its unit is the unit of all lengths.
         depth: Extent along y.
         thickness: Distance between the two surfaces.
-        periodic: Whether the x and the y direction are periodic, two booleans. Defaults to (False, False).
+        periodic: Whether the tissue repeats periodically in x and in y, or ends there, two booleans. Defaults to
+            (False, False).
 
     >>> Slab(width=4, depth=3, thickness=2, periodic=(True, True)).volume
     24.0

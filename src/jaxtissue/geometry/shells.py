@@ -38,10 +38,11 @@ class Shell(Shape):
             constant shift. Not used if `extent` is None.
 
     Raises:
-        ValueError: If a direction is unknown, or if the surfaces are not finite, touch, intersect or fold over.
+        ValueError: If a direction is unknown, or if the surfaces are not finite, touch or intersect, or if the tissue
+            folds over itself.
 
-    >>> cone = Shell(lambda m: jnp.stack([m[0], m[1], 0 * m[0]]), 2.0, extent=(3, 4))
-    >>> round(cone.volume, 6)
+    >>> sheet = Shell(lambda m: jnp.stack([m[0], m[1], 0 * m[0]]), 2.0, extent=(3, 4))
+    >>> round(sheet.volume, 6)
     24.0
     """
 

@@ -112,7 +112,9 @@ def measure_labels(image: Any, spacing: Any, sides: Any = None, threshold: float
         threshold: Omit walls smaller than this fraction of the mean wall area. Defaults to 0.
 
     Returns:
-        A `LabelCells`, with lengths in the unit of `spacing`.
+        A `LabelCells` with one entry per label in `labels`, `volume`, `centroid`, `lateral_area`, `apical_area`,
+        `basal_area`, `neighbors`, `is_scutoid` and `at_border` (shape [n]), and one entry per wall in `pairs`,
+        `wall_area` and `kind`. Lengths are in the unit of `spacing`.
 
     Raises:
         ValueError: If `image` is not a 3D array of integers of at least 0, if it has no label but 0, or if `spacing`,

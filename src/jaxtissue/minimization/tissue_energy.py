@@ -53,7 +53,8 @@ def tissue_energy(
 
     Raises:
         TypeError: If `neighbors` was allocated for a `Tube` and the domain of `model` is not one, or vice versa.
-        ValueError: If the number of positions is not that of `neighbors` or of `model`, its parameters or types.
+        ValueError: If the number of positions differs from the number of cells of `neighbors` or of `model`, or from
+            the number of rows of its `parameters` or types.
 
     >>> from jaxtissue.energy import tube_model
     >>> from jaxtissue.geometry.tube import Tube

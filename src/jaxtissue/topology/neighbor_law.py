@@ -146,7 +146,8 @@ def bound_ratios(
 
     Returns:
         One dictionary per bound, with keys `bound` ("Lemma 1", "Lemma 2" or "Corollary 1"), `hops`, `measured`,
-        `limit`, `ratio` (measured / limit, at most 1 if the bound holds) and `tightness` (phi).
+        `limit`, `ratio` (measured / limit, at most 1 if the bound holds) and `tightness` (phi, the covering radius
+        divided by the separation; see the glossary).
 
     Raises:
         ValueError: If a position is not finite, lies outside the tube, or coincides with another.
