@@ -14,7 +14,7 @@ from jaxtissue.topology.neighbor_law import NeighborLaw
 from jaxtissue.topology.statistics import KIND_ORDER
 
 FULL = Plan(seeds=3)
-SAVES = "the more cells there are, the larger a share of the diagrams IS-MH saves"
+SAVES = "the more cells there are, the larger is the fraction of diagrams that IS-MH saves"
 
 
 def verdicts(item, tables, plan=FULL):
@@ -87,7 +87,7 @@ def test_the_papers_table_meets_the_paper():
     }
     found = verdicts("table1", one)
     assert found[SAVES] == NOT_COMPARABLE
-    assert found["IS-MH is faster at R_a = 5 than at 1"] == MET
+    assert found["IS-MH is faster at R_a = 5 than at R_a = 1"] == MET
 
 
 @pytest.mark.parametrize(("slow", "verdict"), [((), MET), ((1,), NOISY), ((0, 1, 2), NOT_MET)])
@@ -97,7 +97,7 @@ def test_a_time_must_hold_in_every_turn(slow, verdict):
     worse = np.isin(turns["turn"], slow) & (turns["apical_radius"] == 5) & (turns["cells"] == 500)
     turns["near_seconds"] = np.where(worse, 1000, 1) * turns["near_seconds"]
     found = verdicts("table1", tables)
-    assert found["IS-MH is faster than classical MH"] == found["IS-MH is faster at R_a = 5 than at 1"] == verdict
+    assert found["IS-MH is faster than classical MH"] == found["IS-MH is faster at R_a = 5 than at R_a = 1"] == verdict
     loaded = times()  # a load that lasts a turn slows all alike, and changes no verdict
     column = loaded["table1_turns"]
     column |= {name: values * (1 + 9 * (column["turn"] == 1)) for name, values in column.items() if "sec" in name}
@@ -115,7 +115,7 @@ def test_local_moves_are_not_taken_for_whole_diagrams():
     assert verdicts("table1", tables)[squared] == MET
     tables["table1"]["near_rounds"] = 40 + 0 * tables["table1"]["cells"]
     found = verdicts("table1", tables)
-    assert found["IS-MH takes 10 to 21 rounds, played under the near rule"] == NOT_MET
+    assert found["IS-MH needs 10 to 21 rounds; here as run, with the near rule"] == NOT_MET
     fewer = "IS-MH computes up to 25 times fewer diagrams, where both algorithms compute whole ones"
     assert found[fewer] == NOT_MET and found[SAVES] == MET
 
@@ -133,13 +133,13 @@ def test_energy_and_phi_like_the_papers_meet_it_and_others_do_not():
     assert set(verdicts("fig10", {"fig10": runs()}).values()) == {MET}
     found = verdicts("fig10", {"fig10": runs(start=200_000.0, tightness=30.0)})
     starts = "the energy starts at 300,000 to 350,000, R_a = 1"
-    phi = [f"phi, as the {name}, soon stays at 1 to 5, R_a = 5" for name in ("covering radius", "tightness")]
+    phi = [f"phi, as the {name}, soon remains between 1 and 5, R_a = 5" for name in ("covering radius", "tightness")]
     assert found[starts] == found[phi[0]] == found[phi[1]] == NOT_MET
     one = runs() | {"tightness": 30 + 0 * runs()["tightness"]}
     found = verdicts("fig10", {"fig10": one})
     assert (found[phi[0]], found[phi[1]]) == (MET, NOT_MET)  # one reading does not stand for the other
     slow = runs() | {"energy": 320_000 - 1000 * runs()["sweep"]}
-    assert verdicts("fig10", {"fig10": slow})["the energy falls steeply at first, R_a = 1"] == NOT_MET
+    assert verdicts("fig10", {"fig10": slow})["the energy decreases steeply at first, R_a = 1"] == NOT_MET
     assert verdicts("fig10", {"fig10": runs(start=1.0)}, QUICK)[starts] == NOT_COMPARABLE
 
 
@@ -183,7 +183,7 @@ def test_volumes_must_converge_and_the_rest_sit_at_the_ends(off_at_ends):
     found = verdicts("fig11", {"fig11": table, "fig10": runs()})
     phi = "the final tissue has a phi of about 3, as the tightness"
     assert found["volumes converge to the mean"] == found[phi] == MET
-    ends_hold = "most cells that stay off the mean volume are at the tube's ends"
+    ends_hold = "most cells whose volume remains far from the mean are at the ends of the tube"
     assert found[ends_hold] == (MET if off_at_ends else NOT_MET)
     assert phi not in verdicts("fig11", {"fig11": table})
     if off_at_ends:  # cells elsewhere that are off by less: then it depends on what counts as off
@@ -204,12 +204,12 @@ def test_a_tissue_without_plateau_does_not_meet_the_papers_figures():
     most = "cells have fewer than 11 neighbors on average even at ratio 1000"
     assert verdicts("fig12", {"fig12": table})[most] == NOT_MET
     found = verdicts("fig15", {"fig15": table})
-    internal = "the mean number of internal neighbors does not go substantially above one"
+    internal = "the mean number of internal neighbors does not substantially exceed one"
     assert found[internal] == NOT_MET
     text = explain_plateau({"fig12": table})
     most_of = table["neighbors"].max()
     left = " / ".join(f"{most_of * (1 - share):.1f}" for share in THRESHOLDS[1:])
-    assert "ratio 1000" in text and f"{left} neighbors are left" in " ".join(text.split())
+    assert "ratio 1000" in text and f"{left} neighbors, " in " ".join(text.split())
     fall = table | {"apical_neighbors": np.where(table["ratio"] > 100, 0.5, 1) * table["apical_neighbors"]}
     grow = "the numbers of only apical and of only basal neighbors grow with the ratio"
     assert found[grow] == MET and verdicts("fig15", {"fig15": fall})[grow] == NOT_MET
@@ -249,7 +249,7 @@ def test_the_report_says_what_it_is_and_counts_its_verdicts():
     text = write_report(claims, QUICK, items, tables)
     assert "`--quick` run" in text and f"{QUICK.cells} cells" in text
     assert f": {sum(claim.verdict == MET for claim in claims)} are met" in text and "**The plateau.**" in text
-    assert "no blind test" in text and "![Fig. 12](fig12.png)" in text and "the paper gives no number" in text
+    assert "not a blind test" in text and "![Fig. 12](fig12.png)" in text and "the paper gives no number" in text
     rows = [line for line in text.splitlines() if line.startswith("|")]
     assert len({line.count("|") for line in rows}) == 1
     assert "`--quick`" not in write_report(claims, FULL, items, tables)
@@ -267,9 +267,8 @@ def test_the_report_begins_with_what_is_met_what_is_not_and_why():
     assert summarize(claims).strip().splitlines()[2:] == [
         "- **Met:** the energy falls (R_a = 1 and 5).",
         "- **Not met:** phi is 3 (R_a = 1 and 5); tissue has phi 3 (pairs stay close).",
-        "- **Too noisy:** it is faster (what was found differs from turn to turn or from run to run, "
-        "across the criterion).",
+        "- **Too noisy:** it is faster (the results of different runs or repetitions are on both sides of the limit).",
         "- **Not comparable:** it takes an hour (the machines differ).",
     ]
-    assert "2 are met, 3 are not met, 1 is too noisy to judge, and 1 is not comparable" in summarize(claims)
+    assert "2 are met, 3 are not met, 1 is too noisy, and 1 is not comparable" in summarize(claims)
     assert write_report(claims, FULL, {}, {}).splitlines()[2].startswith("7 statements of the paper")

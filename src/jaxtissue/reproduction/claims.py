@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 
 MET, NOT_MET, NOISY, NOT_COMPARABLE = "met", "not met", "too noisy", "not comparable"
 VERDICTS = (MET, NOT_MET, NOISY, NOT_COMPARABLE)
-QUICK_SIZES = "the quick plan has fewer cells, sweeps, seeds and ratios; the full one judges it"
+QUICK_SIZES = "--quick has fewer cells, sweeps, seeds and ratios; only the full run is judged"
 ENERGIES = 0.05  # mean energies that differ by no more than this share are alike
 
 

@@ -17,19 +17,19 @@ from jaxtissue.reproduction.claims import (
 from jaxtissue.reproduction.experiments import THRESHOLDS, Plan, Table
 from jaxtissue.topology.neighbor_law import fit_neighbor_law
 
-_GLAND = "real cells, in glands of many ratios; nothing to be met"
-_PLATEAU = "every wall counts as a contact here; their number goes on growing with the ratio, as Fig. 12 explains"
-_SMALL = "every wall counts as a contact here; without the smallest walls the share is lower"
-_LUMEN = "at large ratios cells wrap round the lumen and share fewer walls on the apical surface"
-_DEGREE = "it is the number of neighbors on the apical surface, almost 6, + half that of transition points"
+_GLAND = "real cells in glands with many ratios; for comparison only"
+_PLATEAU = "every wall is counted as a contact here, and their number keeps growing with the ratio; see Fig. 12"
+_SMALL = "every wall is counted as a contact here; without the smallest walls the fraction is lower"
+_LUMEN = "at large ratios cells wrap around the lumen and share fewer walls on the apical surface"
+_DEGREE = "it equals the number of apical neighbors, almost 6, + half the number of transition points"
 _EXPLANATION = """
 **The plateau.** The paper's curve levels off below 11 neighbors, about one of them internal. Here, where
-every wall counts as a contact, an annealed cell has {every:.1f} neighbors on average at ratio {ratio:g},
+every wall is counted as a contact, an annealed cell has {every:.1f} neighbors on average at ratio {ratio:g},
 {inner:.1f} of them internal. Tissue relaxed by Lloyd's method has {lloyd:.1f} neighbors at this ratio, and
-random tissue {random:.1f}: the number comes from the geometry of radial backbones more than from annealing.
-It depends on which walls count. Without walls smaller than 1 / 2 / 5 % of the mean wall {fewer} neighbors
-are left, {fewer_inner} of them internal. The paper does not say whether it leaves out small walls. All
-verdicts are on every wall, and no threshold was chosen to meet the paper.
+random tissue {random:.1f}: the number depends more on the geometry of radial backbones than on annealing.
+It also depends on which walls are counted. Without walls smaller than 1 / 2 / 5 % of the mean wall, a cell
+has {fewer} neighbors, {fewer_inner} of them internal. The paper does not say whether it excludes small
+walls. All verdicts count every wall, and no threshold was chosen to reproduce the paper.
 """
 
 
@@ -51,7 +51,7 @@ def judge_neighbors(tables: Mapping[str, Table], plan: Plan) -> Claims:
     phi = (f"{name.replace('_', ' ')} {table[name].min():.3g} to {table[name].max():.3g}"
            for name in ("tightness", "covering_radius"))  # fmt: skip
     ours = f"at most {most:.0%} of the bound; {', '.join(phi)}"
-    why = "phi is the tightness here; where it is large, as in annealed tissue, the bounds say little"
+    why = "phi is the tightness here; where it is large, as in annealed tissues, the bounds are weak"
     says = "Lemmas 1 and 2 and Corollary 1 bound the numbers of neighbors by phi"
     claims.add(says, ("proved", ours), most <= 1 if bounds else None, "in every tissue, annealed or not", why)
     _add_gland(claims, table, "neighbors", published.GLAND.neighbors)
@@ -83,7 +83,7 @@ def judge_transitions(tables: Mapping[str, Table], plan: Plan) -> Claims:
     found = [mean_range(at_ratio(table, at, "scutoid_fraction")) for at in large]
     least = int(np.argmin([low for low, _ in found]))
     shown = at_ratio(table, large[least], "scutoid_fraction").mean()
-    numbers = "over 90 %", f"least {shown:.1%}, at ratio {large[least]:g}"
+    numbers = "over 90 %", f"smallest {shown:.1%}, at ratio {large[least]:g}"
     verdict, why = (judge(None), QUICK_SIZES) if plan.quick else (judge_ranges(found, share), "")
     says = f"over 90 % of the cells are scutoids at ratios of {ratio:g} and more"
     claims.add(says, numbers, verdict, "at every such ratio, by the 95 % interval", why)
@@ -91,9 +91,15 @@ def judge_transitions(tables: Mapping[str, Table], plan: Plan) -> Claims:
     turns, neighbors = ((mean[name][0], mean[name][-1]) for name in ("transitions", "neighbors"))
     ours = "{:.2f} to {:.2f} (neighbors {:.2f} to {:.2f})".format(*turns, *neighbors)
     met = turns[0] < neighbors[0] and turns[1] < neighbors[1]
-    why = "neighbors = apical degree + transition points / 2, so that from some number on these are more"
-    criterion = "smaller at the smallest and at the largest ratio"
-    claims.add("transition points start and end below neighbors", ("words", ours), met, criterion, why)
+    why = "neighbors = apical neighbors + transition points / 2, so above some number there are more transition points"
+    criterion = "fewer at both ratios"
+    claims.add(
+        "there are fewer transition points than neighbors at the smallest and the largest ratio",
+        ("words", ours),
+        met,
+        criterion,
+        why,
+    )
     for name in ("transitions", "scutoid_fraction"):
         _add_gland(claims, table, name, getattr(published.GLAND, name))
     return claims
@@ -108,14 +114,14 @@ def judge_kinds(tables: Mapping[str, Table], plan: Plan) -> Claims:
     claims.add("at small ratios neighbors touch on both surfaces", numbers, first >= 0.8, "at least 80 %")
     met = both[-1] < min(apical[-1], basal[-1], both[0])
     numbers = "words", f"{both[0]:.2f} to {both[-1]:.2f}; only apical {apical[-1]:.2f}, basal {basal[-1]:.2f}"
-    says = "neighbors on both surfaces become fewer than only apical and only basal ones as the ratio grows"
+    says = "with increasing ratio, neighbors on both surfaces become fewer than only apical or only basal neighbors"
     claims.add(says, numbers, met, "at the largest ratio")
     differ = np.abs(apical - basal) / np.maximum((apical + basal) / 2, 1e-9)
     for name, chosen in (("up to 10", mean["ratio"] <= 10), ("above 10", mean["ratio"] > 10)):
         if chosen.any():
             numbers = "almost identical", f"they differ by {differ[chosen].max():.0%} at most"
             says, met = (
-                f"only apical and only basal neighbors are as many, ratios {name}",
+                f"there are as many only apical as only basal neighbors, ratios {name}",
                 differ[chosen].max() <= 0.1,
             )
             reason = QUICK_SIZES if plan.quick else _LUMEN if name == "above 10" else ""
@@ -137,7 +143,7 @@ def _judge_internal(claims: Claims, table: Table, plan: Plan) -> None:
     mean = ratio_means(table)
     where = float(mean["ratio"][mean["internal_neighbors"].argmax()])
     wanted = (0, 1.2 * published.INTERNAL_NEIGHBORS, f"at most 1.2, at every ratio (most: {where:g})")
-    says = "the mean number of internal neighbors does not go substantially above one", "about 1"
+    says = "the mean number of internal neighbors does not substantially exceed one", "about 1"
     _add_mean(claims, says, (table, where, "internal_neighbors"), wanted, plan.quick, _PLATEAU)
 
 
@@ -178,7 +184,7 @@ def judge_pair(tables: Mapping[str, Table], plan: Plan) -> Claims:
     claims, area = Claims("fig16"), tables["fig16"]["relative_area"]
     numbers = "a picture", f"{len(area)} pairs in a tissue; largest wall {area.max():.0%} of the mean wall"
     criterion = "a wall above 5 % of the mean wall"
-    claims.add("cells can touch between the surfaces only", numbers, area.max() > 0.05, criterion)
+    claims.add("cells can be in contact only between the surfaces", numbers, area.max() > 0.05, criterion)
     return claims
 
 
@@ -215,7 +221,7 @@ def _judge_law(claims: Claims, says: str, mean: Table, name: str) -> None:
         claims.add(says, ("words", "no fit"), False, criterion, str(error))
         return
     ours = f"R^2 {law.r2:.4f}; {law.low:.2f} to {law.high:.2f}, half way at {law.middle:.3g}"
-    why += "; its lower end lies at ratios below 1, where there is no tissue" if law.low < 0 else ""
+    why += "; its lower limit is reached only at ratios below 1, which do not exist" if law.low < 0 else ""
     claims.add(says, ("words", ours), law.r2 >= 0.98, criterion, why)
 
 

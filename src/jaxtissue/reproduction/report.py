@@ -38,33 +38,35 @@ DETAILS: dict[str, Callable[[Mapping[str, Table]], str]] = {"table1": write_time
 _INTRODUCTION = f"""
 ## How it is judged
 
-Buceta, Funke, Storandt, *Efficient Modeling of 3D Epithelial Cell Structure Dynamics via Backbone Spreads*,
-GRAPP 2025, sections 4 and 5, is set beside jaxtissue. The paper's numbers are from its text, or read off
-the axes of its figures where it says so. Each verdict follows from the tables in this folder by the
-criterion beside it:
+This report compares jaxtissue with sections 4 and 5 of the paper: Buceta, Funke, Storandt, *Efficient
+Modeling of 3D Epithelial Cell Structure Dynamics via Backbone Spreads*, GRAPP 2025. The numbers of the paper
+come from its text, or were read off the axes of its figures ("read off"). Each verdict follows from the
+tables in this folder and from the criterion in the last column:
 
-- A mean over the runs counts with its 95 % interval (Student's t), and a time with its smallest and largest
-  value over turns in which all algorithms are timed one after the other; on a CPU it is processor time.
-  Where these lie on both sides of the criterion, the verdict is `{NOISY}`. Times in parentheses are the
-  smallest and the largest.
-- Energies, at the start and at the end, have one criterion: they have to agree within {100 * ENERGIES:g} %,
-  by the 95 % interval. At the end it is that of the ratio IS-MH / MH of the seeds. At the start the paper's
-  is a mean of 10 runs, read off a figure as a range; so it is where a mean of 10 runs like ours lies.
-- The paper prints phi without saying how it was measured. By its Definition 1 it is the covering radius
-  (the largest distance of a point of the tissue to its nearest backbone) in units of the separation (the
-  smallest distance of two backbones), which we call tightness. Both readings are judged, each by itself.
-- `{NOT_COMPARABLE}` means that no criterion can be put: another machine, another way to measure, a number
-  that is not the paper's, or one that this plan leaves out.
+- A mean over the runs is judged by its 95 % confidence interval (Student's t). A time is judged by its
+  smallest and largest value over repetitions in which all algorithms are timed in turn; on a CPU it is
+  processor time. If such an interval includes the limit of the criterion, the verdict is `{NOISY}`. Times in
+  parentheses are the smallest and the largest value.
+- Energies at the start and at the end have to agree within {100 * ENERGIES:g} %. At the end, the 95 %
+  confidence interval of the ratio IS-MH / MH over the seeds is judged. At the start, the paper shows a mean
+  of 10 runs in a figure, which is read off as a range. It is compared with the 95 % interval in which the
+  mean of 10 such runs lies here.
+- The paper gives phi without its method of measurement. By Definition 1 of the paper it is the covering
+  radius (the largest distance of a point of the tissue to its nearest backbone) in units of the separation
+  (the smallest distance of two backbones), here called tightness. The covering radius and the tightness are
+  both judged.
+- `{NOT_COMPARABLE}` means that no criterion applies: another machine, another method of measurement, a
+  number that the paper does not give, or a number that this run does not compute.
 
-Nothing was adjusted to meet the paper; but the criteria were written knowing a table of values measured
-while this evaluation was designed, so they are no blind test.
+No parameter was adjusted to reproduce the paper. The criteria were written with a table of measured values
+at hand, so they are not a blind test.
 """
-_NOISE = "what was found differs from turn to turn or from run to run, across the criterion"
+_NOISE = "the results of different runs or repetitions are on both sides of the limit"
 _QUICK = """
 **This is a `--quick` run**: {cells} cells on a tube of length {length:g} (the paper: 500 on 100), {sweeps}
-sweeps (100), {seeds} seeds (10), {ratios} surface ratios; {cells} cells in Figs. 7 to 9 (1000). It shows that
-everything works, no more: the short tube has more cells at its ends, and few sweeps relax less. Judge by the
-full run.
+sweeps (100), {seeds} seeds (10), {ratios} surface ratios; {cells} cells in Figs. 7 to 9 (1000). It only checks
+that everything works: a larger fraction of the cells is at the ends of the short tube, and the tissues are
+relaxed by fewer sweeps. Use the full run to judge the results.
 """
 
 
@@ -77,7 +79,7 @@ def write_report(
     claims: list[Claim], plan: Plan, items: Mapping[str, Mapping[str, Any]], tables: Mapping[str, Table]
 ) -> str:
     """The report as Markdown; `items` are the finished ones with their seconds."""
-    parts = ["# The paper's evaluation, beside ours\n", summarize(claims)]
+    parts = ["# The paper's evaluation, compared with jaxtissue\n", summarize(claims)]
     if plan.quick:
         sizes = {name: getattr(plan, name) for name in ("cells", "length", "sweeps", "seeds")}
         parts.append(_QUICK.format(**sizes, ratios=len(plan.ratios)))
@@ -89,8 +91,8 @@ def write_report(
         parts.append(f"\n## {title(item)}\n\n![{title(item)}]({item}.png)\n")
         parts.append(DETAILS[item](tables) if item in DETAILS else "")
         rows = [claim for claim in claims if claim.item == item]
-        parts.append(_table(rows) if rows else "\nA picture of our own tissue; the paper gives no number.\n")
-        parts.append(f"\nComputed in {seconds:.0f} s, what it shares with others counted once.\n")
+        parts.append(_table(rows) if rows else "\nA picture of a tissue of jaxtissue; the paper gives no number.\n")
+        parts.append(f"\nComputed in {seconds:.0f} s; computations shared with other items are counted once.\n")
     return "".join(parts)
 
 
@@ -98,8 +100,8 @@ def summarize(claims: Sequence[Claim]) -> str:
     """The claims that are met, and those that are not and why; claims with one verdict and reason are merged."""
     count = Counter(claim.verdict for claim in claims)
     counted = [f"{count[verdict]} {'is' if count[verdict] == 1 else 'are'} {verdict}" for verdict in VERDICTS]
-    told = "{}, {}, {} to judge, and {}".format(*counted)
-    lines = [f"\n{len(claims)} statements of the paper are set beside what was found here: {told}.\n"]
+    told = "{}, {}, {}, and {}".format(*counted)
+    lines = [f"\n{len(claims)} statements of the paper are compared with the results of jaxtissue: {told}.\n"]
     for verdict in VERDICTS:
         groups: dict[str, list[str]] = {}
         for claim in claims:
@@ -135,7 +137,10 @@ def title(item: str) -> str:
 
 
 def _table(claims: list[Claim]) -> str:
-    lines = ["\n| the paper says | paper | ours | verdict | criterion, and why |", "|---|---|---|---|---|"]
+    lines = [
+        "\n| statement of the paper | paper | jaxtissue | verdict | criterion and reason |",
+        "|---|---|---|---|---|",
+    ]
     for claim in claims:
         reason = "; ".join(part for part in (claim.criterion, claim.why) if part)
         cells = (claim.says, claim.paper, claim.ours, f"**{claim.verdict}**", reason)

@@ -23,12 +23,12 @@ from jaxtissue.reproduction.experiments import Plan, Table
 
 _ENERGY = f"within {ENERGIES:.0%}, by the 95 % interval"
 _PAPERS_SEEDS = 10
-_SCATTER = "random tissues differ so much that means of 10 runs, ours and the paper's, do not decide it"
-_GEOMETRY = "it is the energy of random tissue with the paper's parameters, before any move"
-_SPREAD = "the energy makes volumes equal and does not spread the backbones evenly"
+_SCATTER = "random tissues differ so much that means of 10 runs are not precise enough"
+_GEOMETRY = "it is the energy of random tissues with the parameters of the paper, before any move"
+_SPREAD = "the energy makes volumes equal but does not distribute the backbones evenly"
 _PHI = {
-    "covering_radius": f"{_SPREAD}: gaps between them stay",
-    "tightness": f"{_SPREAD}: some pairs stay close, and the smallest distance of two divides",
+    "covering_radius": f"{_SPREAD}: gaps between them remain",
+    "tightness": f"{_SPREAD}: some pairs remain close, and the tightness is divided by the smallest distance",
 }
 _ENDS = (0.1, 0.15, 0.2, 0.3)  # distances from the mean volume from which a cell counts as off
 
@@ -42,15 +42,17 @@ def judge_cell(tables: Mapping[str, Table], plan: Plan) -> Claims:
     ours = f"{before[cell]:.3g} to {after[cell]:.3g}, mean {mean:.3g}"
     numbers = paper, f"{ours}: {before[cell] / mean:.0%} to {after[cell] / mean:.0%}"
     met = None if plan.quick else near(after[cell], mean, 0.1)
-    why = QUICK_SIZES if plan.quick else "" if met else "it is one cell; the next statement is on all like it"
-    says = "a cell grows from a volume of 9 to 40, where the mean is 44; ours is the smallest of one run"
-    claims.add(says, numbers, met, "its volume ends within 10 % of the mean; 44 is the mean of neither R_a", why)
+    why = (
+        QUICK_SIZES if plan.quick else "" if met else "it is a single cell; the next statement is about all such cells"
+    )
+    says = "a cell grows from a volume of 9 to 40, with a mean of 44; here the smallest cell of one run"
+    claims.add(says, numbers, met, "final volume within 10 % of the mean; 44 is not the mean for R_a = 1 or 5", why)
     small = before < 0.25 * mean
     middle = float(np.median(after[small])) / mean if small.any() else np.nan
     numbers = paper, f"median of {small.sum()} cells: {middle:.0%}" if small.any() else "no such cell"
     met = None if plan.quick or not small.any() else near(middle, 1, 0.1)
-    says = "cells that begin below a quarter of the mean volume grow to about the mean"
-    claims.add(says, numbers, met, "their median ends within 10 % of the mean", QUICK_SIZES if plan.quick else "")
+    says = "cells that start below a quarter of the mean volume grow to about the mean"
+    claims.add(says, numbers, met, "final median within 10 % of the mean", QUICK_SIZES if plan.quick else "")
     return claims
 
 
@@ -78,12 +80,12 @@ def _judge_run(claims: Claims, table: Table, radius: float, plan: Plan) -> None:
     quarter = max(1, (len(mean) - 1) // 4)
     fall = mean[0] - mean[-1]
     early, late = (mean[0] - mean[quarter]) / fall, (mean[-1 - quarter] - mean[-1]) / fall
-    numbers = "words", f"{early:.0%} of the fall is in the first quarter of the sweeps"
+    numbers = "words", f"{early:.0%} of the decrease is in the first quarter of the sweeps"
     met, why = (None, QUICK_SIZES) if plan.quick else (early >= 0.5, "")
-    claims.add(f"the energy falls steeply at first, {at}", numbers, met, "at least half of the fall", why)
-    numbers = "words", f"{late:.1%} of the fall is in the last quarter"
+    claims.add(f"the energy decreases steeply at first, {at}", numbers, met, "at least half of the decrease", why)
+    numbers = "words", f"{late:.1%} of the decrease is in the last quarter"
     met = None if plan.quick else 0 <= late <= 0.1
-    claims.add(f"the energy falls slowly in the end, {at}", numbers, met, "0 to 10 % of the fall", why)
+    claims.add(f"the energy decreases slowly at the end, {at}", numbers, met, "0 to 10 % of the decrease", why)
     last, other = energy[:, -1], by_seed(table, radius, "mh", "energy")[:, -1]
     low, high = mean_range(last / other)
     ours = f"IS-MH {last.mean():,.0f}, MH {other.mean():,.0f}; IS-MH / MH of each seed: {low:.3f} to {high:.3f}"
@@ -99,7 +101,7 @@ def _judge_run(claims: Claims, table: Table, radius: float, plan: Plan) -> None:
         met, why = (None, QUICK_SIZES) if plan.quick else (least <= phi <= most, _PHI[name])
         criterion = "the median over the last quarter of the sweeps"
         claims.add(
-            f"{says} soon stays at 1 to 5, {at}",
+            f"{says} soon remains between 1 and 5, {at}",
             ("1 to 5", f"{phi:.3g} ({begun:.3g} at the start)"),
             met,
             criterion,
@@ -125,8 +127,8 @@ def judge_volumes(tables: Mapping[str, Table], plan: Plan) -> Claims:
     claims, table = Claims("fig11"), tables["fig11"]
     sweeps, mean = np.unique(table["sweep"]), table["volume"][table["sweep"] == 0].mean()
     spread = [table["volume"][table["sweep"] == sweep].std() / mean for sweep in sweeps]
-    numbers = "words", f"deviation / mean {listed(spread, '.3f')}"
-    criterion = f"it falls at every one of sweeps {listed(sweeps, 'g')}"
+    numbers = "words", f"standard deviation / mean: {listed(spread, '.3f')}"
+    criterion = f"it decreases at each of the sweeps {listed(sweeps, 'g')}"
     claims.add("volumes converge to the mean", numbers, (np.diff(spread) < 0).all(), criterion)
     _judge_ends(claims, table, plan)
     if "fig10" in tables:
@@ -134,7 +136,7 @@ def judge_volumes(tables: Mapping[str, Table], plan: Plan) -> Claims:
             phi = float(np.median(by_seed(tables["fig10"], 1.0, "is-mh", name)[:, -1]))
             met, why = (None, QUICK_SIZES) if plan.quick else (near(phi, published.TIGHTNESS), _PHI[name])
             says = f"the final tissue has a phi of about 3, as the {says}"
-            claims.add(says, ("3", f"{phi:.3g}"), met, "within 20 %, in the median", why)
+            claims.add(says, ("3", f"{phi:.3g}"), met, "median within 20 %", why)
     return claims
 
 
@@ -144,12 +146,12 @@ def _judge_ends(claims: Claims, table: Table, plan: Plan) -> None:
     volume, ends = table["volume"][last], table["is_end"][last].astype(bool)
     apart = np.abs(volume / volume.mean() - 1)
     off = {share: apart > share for share in _ENDS if (apart > share).any()}
-    shown = (f"{ends[some].mean():.0%} of {some.sum()} (off by {share:.0%})" for share, some in off.items())
+    shown = (f"{ends[some].mean():.0%} of {some.sum()} (deviation above {share:.0%})" for share, some in off.items())
     numbers = "most", f"{', '.join(shown)}; {ends.mean():.0%} of all cells touch an end"
     met = all(ends[some].mean() > 0.5 for some in off.values()) if off and not plan.quick else None
-    why = QUICK_SIZES if plan.quick else "it depends on how far off a cell has to be to count"
-    says = "most cells that stay off the mean volume are at the tube's ends"
-    claims.add(says, numbers, met, "more than half, from wherever cells count as off", why if not met else "")
+    why = QUICK_SIZES if plan.quick else "it depends on the deviation above which a cell is counted"
+    says = "most cells whose volume remains far from the mean are at the ends of the tube"
+    claims.add(says, numbers, met, "more than half, for each deviation", why if not met else "")
 
 
 def by_seed(table: Table, radius: float, algorithm: str, name: str) -> np.ndarray:

@@ -15,37 +15,38 @@ from jaxtissue.reproduction.experiments import Plan, Table
 from jaxtissue.reproduction.timings import RADII, RULES, SAMPLED
 
 _TITLES = {name: rule.replace("-phi", " phi") for name, rule in RULES.items()}
-_NEAR = "the near rule keeps more moves apart, so that almost none change the same cell"
-_COUNT = "the paper's MH computes n diagrams in a step and its IS-MH two in a round, which explains its times"
-_LOCAL = "our MH and IS-MH measure only the cells that a move changes; the paper's measure whole diagrams"
+_NEAR = "the near rule separates more moves, so that almost no two change the same cell"
+_COUNT = "the MH of the paper computes n diagrams per step and its IS-MH two per round, which explains its times"
+_LOCAL = "MH and IS-MH measure only the cells that a move changes here, but whole diagrams in the paper"
 _TIMES = """
 Seconds of a step (one move for each cell) and rounds of IS-MH:
 
-| R_a | n | MH: paper | MH: ours, whole diagrams | MH: ours, local | IS-MH: paper | IS-MH: ours, near rule | \
-rounds: paper | rounds: ours, near rule |
+| R_a | n | MH: paper | MH: jaxtissue, whole diagrams | MH: jaxtissue, local | IS-MH: paper | \
+IS-MH: jaxtissue, near rule | rounds: paper | rounds: jaxtissue, near rule |
 |---|---|---|---|---|---|---|---|---|
 {rows}
 
-Ours are medians of {turns} turns, in processor time on a CPU; the paper's are of a laptop with 4 cores.
-"Whole diagrams" is classical MH as the paper describes it: after each move all cells are measured again.
-Its times, marked \\*, are **extrapolated**: n times the median time of {sampled} moves. "Local" is the MH
-of this library: a move measures only the cells that it changes. Our IS-MH does so too, while the paper's
-computes two whole diagrams in each round.
+The times of jaxtissue are medians of {turns} repetitions, in processor time on a CPU; those of the paper
+were measured on a laptop with 4 cores. "Whole diagrams" is classical MH as the paper describes it: after
+each move all cells are measured again. These times, marked \\*, are **extrapolated**: n times the median
+time of {sampled} moves. "Local" is the MH of jaxtissue, which measures only the cells that a move changes.
+So does the IS-MH of jaxtissue, whereas the IS-MH of the paper computes two whole diagrams in each round.
 """
 _ROUNDS = """
-Rounds under each rule for moves that may be made together (`--conflicts`):
+Rounds under each rule for moves that conflict (the argument `conflicts` of `jt.Annealer`):
 
 | R_a | n | | paper | {titles} |
 |---|---|---|---|{lines}|
 {rows}
 
-IS-MH plays the near rule unless told otherwise. *near*: two moves conflict if one cell touches both movers,
-or could after one of them has made a move of mean length. *2-hop*, *3-hop*, *4-hop*: two moves conflict if
-their cells are at most so many contacts apart. *8 phi*, the rule that the paper states: two moves conflict
-if their backbones are closer than 8 phi, where phi is the covering radius, {covering} here; the tightness
-is {tightness}. "Sets" are what greedy coloring finds when a set may be of any size; "rounds" are what is
-played, where a round has at most n / {least} moves. "Put off" is the share of the moves that would have
-changed the same cell as another move of their round; they are made in a later round instead.
+By default, IS-MH uses the near rule. *near*: two moves conflict if some cell touches both moving cells, or
+could touch both after one of them has moved by the mean length of a move. *2-hop*, *3-hop*, *4-hop*: two
+moves conflict if the cells are at most 2, 3 or 4 contacts apart. *8 phi*, the rule of the paper: two moves
+conflict if the backbones are closer than 8 phi, where phi is the covering radius, {covering} here; the
+tightness is {tightness}. "Sets" is the number of sets that greedy coloring finds if sets may have any size.
+"Rounds" is the number of rounds per sweep, where a round has at most n / {least} moves. "Deferred" is the
+fraction of the moves that would have changed the same cell as another move of their round; they are proposed
+in a later round instead.
 """
 
 
@@ -62,19 +63,19 @@ def _judge_rounds(claims: Claims, table: Table) -> None:
     """Rounds by the rule that is played, by the one that the paper states, and by the nearest to them."""
     theirs = _theirs(table, "rounds")
     put_off = (
-        "it comes nearest to the paper's counts, but does not keep all moves apart that change the same cell:"
-        f" up to {table['2_hop_put_off'].max():.1%} of them are put off"
+        "it is closest to the numbers of the paper, but does not separate all moves that change the same cell:"
+        f" up to {table['2_hop_put_off'].max():.1%} of them are deferred"
     )
     reach = (8 * table["covering_radius"].min(), 8 * table["covering_radius"].max())
     longer = f"8 phi is {reach[0]:.0f} to {reach[1]:.0f} with covering radii for phi, in a tube of length 100"
     for column, says, why in (
-        ("near_rounds", "IS-MH takes 10 to 21 rounds, played under the near rule", _NEAR),
+        ("near_rounds", "IS-MH needs 10 to 21 rounds; here as run, with the near rule", _NEAR),
         (
             "8_phi_sets",
-            "IS-MH takes 10 to 21 rounds, counted under the 8 phi rule, which the paper states",
+            "IS-MH needs 10 to 21 rounds; here counted with the 8 phi rule, the rule of the paper",
             longer,
         ),
-        ("2_hop_sets", "IS-MH takes 10 to 21 rounds, counted under the 2-hop rule", put_off),
+        ("2_hop_sets", "IS-MH needs 10 to 21 rounds; here counted with the 2-hop rule", put_off),
     ):
         met = [near(*pair) for pair in zip(table[column], theirs, strict=True)]
         shares = f"{sum(met)} of {len(met)} are within 20 %"
@@ -82,7 +83,7 @@ def _judge_rounds(claims: Claims, table: Table) -> None:
         claims.add(says, numbers, all(met), "each within 20 %", why)
     one, five = (table["near_sets"][table["apical_radius"] == radius] for radius in RADII)
     numbers = _by_radius(table, theirs), f"near rule, sets: {_by_radius(table, table['near_sets'])}"
-    claims.add("IS-MH takes fewer rounds at R_a = 5 than at 1", numbers, (five < one).all(), "at every n")
+    claims.add("IS-MH needs fewer rounds at R_a = 5 than at R_a = 1", numbers, (five < one).all(), "at every n")
     grows = [sets[-1] / sets[0] for sets in (one, five)]
     told = [published.TABLE_1[radius, 1000].rounds / published.TABLE_1[radius, 100].rounds for radius in RADII]
     numbers = f"x {listed(told, '.2f')}, for x 10 cells", f"near rule, sets: x {listed(grows, '.2f')}"
@@ -98,7 +99,7 @@ def _judge_speed(claims: Claims, table: Table, turns: Table) -> None:
     shown = [f"{titles[name]}: {', '.join(map(spread, some.values()))}" for name, some in ratios.items()]
     verdict = judge_ranges([_range(ratio) for each in ratios.values() for ratio in each.values()], 1.0)
     numbers = f"MH / IS-MH: {listed(list(told.values()), '.3g')}", "; ".join(shown)
-    claims.add("IS-MH is faster than classical MH", numbers, verdict, "every ratio above 1, in every turn")
+    claims.add("IS-MH is faster than classical MH", numbers, verdict, "every ratio above 1, in every repetition")
     counts = table["cells"] / (2 * table["near_rounds"])
     theirs = table["cells"] / (2 * _theirs(table, "rounds"))
     fewer = [f"n / (2 rounds): {_by_radius(table, count, '.1f')}" for count in (theirs, counts)]
@@ -110,10 +111,10 @@ def _judge_speed(claims: Claims, table: Table, turns: Table) -> None:
     rises = [np.diff(counts[table["apical_radius"] == radius]) for radius in RADII]
     met, why = (all((rise > 0).all() for rise in rises), _COUNT) if len(rises[0]) else (None, QUICK_SIZES)
     claims.add(
-        "the more cells there are, the larger a share of the diagrams IS-MH saves",
+        "the more cells there are, the larger is the fraction of diagrams that IS-MH saves",
         numbers,
         met,
-        "at every step of n",
+        "from each n to the next",
         why,
     )
     numbers = "up to 25", f"{max(map(np.median, ratios['whole'].values())):.3g} by MH with whole diagrams, "
@@ -140,7 +141,7 @@ def _judge_growth(claims: Claims, turns: Table) -> None:
     ranges = [_range(each) for each in double[0]] if double else []
     verdict, why = (judge_ranges(ranges, 3.2, 4.8), "") if double else (judge(None), QUICK_SIZES)
     says = "the time of MH with whole diagrams grows with the square of n: fourfold from 500 to 1000"
-    claims.add(says, numbers, verdict, "within 20 % of x 4, in every turn", why)
+    claims.add(says, numbers, verdict, "within 20 % of x 4, in every repetition", why)
     span = cells[-1] / cells[0]
     grows = [fast[radius, cells[-1]] / fast[radius, cells[0]] for radius in RADII]
     numbers = "x 6.6, 7.1, for x 10 cells", ", ".join(f"x {spread(each)}" for each in grows)
@@ -148,12 +149,12 @@ def _judge_growth(claims: Claims, turns: Table) -> None:
     if span == 1:
         numbers, verdict, why = (numbers[0], "-"), judge(None), QUICK_SIZES
     says = "the time of IS-MH grows at most in proportion to n"
-    claims.add(says, numbers, verdict, "not above the growth of n, in every turn", why)
+    claims.add(says, numbers, verdict, "not above the growth of n, in every repetition", why)
     fewer = [fast[1.0, n] / fast[5.0, n] for n in cells]
     told = [published.TABLE_1[1.0, n].is_mh_seconds / published.TABLE_1[5.0, n].is_mh_seconds for n in cells]
     numbers = f"R_a = 1 / R_a = 5: {listed(told, '.2f')}", ", ".join(spread(each) for each in fewer)
     verdict = judge_ranges([_range(each) for each in fewer], 1.0)
-    claims.add("IS-MH is faster at R_a = 5 than at 1", numbers, verdict, "at every n, in every turn")
+    claims.add("IS-MH is faster at R_a = 5 than at R_a = 1", numbers, verdict, "at every n, in every repetition")
 
 
 def write_times(tables: Mapping[str, Table]) -> str:
@@ -167,7 +168,7 @@ def write_times(tables: Mapping[str, Table]) -> str:
         ours = [f"{row[f'{name}_seconds']:.3g}" for name in ("whole", "mh", "near")]
         numbers = (f"{paper.mh_seconds:g}", f"{ours[0]}\\*", ours[1], f"{paper.is_mh_seconds:g}", ours[2])
         times.append((*at, *numbers, str(paper.rounds), f"{row['near_rounds']:.0f}"))
-        lines = (("rounds", "_rounds", ".0f"), ("sets", "_sets", ".0f"), ("put off", "_put_off", ".1%"),
+        lines = (("rounds", "_rounds", ".0f"), ("sets", "_sets", ".0f"), ("deferred", "_put_off", ".1%"),
                  ("seconds", "_seconds", ".3g"))  # fmt: skip
         for name, ending, form in lines:
             told = {"rounds": str(paper.rounds), "seconds": f"{paper.is_mh_seconds:g}"}.get(name, "")
