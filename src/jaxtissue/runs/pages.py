@@ -17,17 +17,17 @@ from jaxtissue.system.files import replacing
 CAPTIONS = {
     "tissue.png": "The tissue, cut open: the lumen, and the cells from the apical to the basal surface. "
     "Neighbors have different colors.",
-    "scutoid.png": "A scutoid among the cells at its transition points, the black balls, where cells change neighbors.",
-    "surfaces.png": "The basal and the apical surface, unrolled, or from two sides where they are closed: the same "
-    "cells may have other neighbors on one than on the other. A cell's color is its volume.",
-    "energy.png": "The energy over the sweeps.",
-    "volumes.png": "The volumes of the cells after some of the sweeps, from the smallest to the largest.",
-    "internal.png": "Two cells that touch within the tissue only.",
+    "scutoid.png": "A scutoid and the cells at its transition points (black balls), where cells change neighbors.",
+    "surfaces.png": "The basal and the apical surface, unrolled, or seen from two sides if they are closed. A cell "
+    "can have different neighbors on the two surfaces. Colors show the volumes of the cells.",
+    "energy.png": "The energy of the tissue during the run.",
+    "volumes.png": "The volumes of the cells at several times, sorted from the smallest to the largest.",
+    "internal.png": "Two cells that are in contact only inside the tissue.",
     "cell.png": "A cell among its neighbors.",
     "bodies.png": "The tissue without a quarter of its cells.",
-    "exploded.png": "The cells apart.",
-    "movie.gif": "The tissue over the sweeps.",
-    "turntable.gif": "The tissue, cut open, from all round.",
+    "exploded.png": "An exploded view of the cells.",
+    "movie.gif": "The tissue after the stored sweeps.",
+    "turntable.gif": "The tissue, cut open, seen from all sides.",
 }
 ROWS = 20  # of the table of cells that are shown
 
@@ -63,7 +63,7 @@ def write_page(folder: Path) -> None:
         "</ul></details>",
     ]
     page = Template(files("jaxtissue.runs").joinpath("page.html").read_text("utf-8"))
-    note = "Lengths, areas and volumes have the unit of the sizes that were given. Written by jaxtissue."
+    note = "Lengths, areas and volumes are in the unit of the given sizes of the tissue. Written by jaxtissue."
     name = folder.name.encode(errors="replace").decode()  # of bytes that are no text
     text = page.substitute(title=escape(f"{kind} tissue: {name}"), note=note, body="\n".join(parts))
     with replacing(folder / PAGE, "w") as file:
