@@ -78,7 +78,7 @@ def test_a_folder_with_other_files_is_left_alone(tmp_path, capsys):
     assert "other files" in capsys.readouterr().err and len(list(tmp_path.iterdir())) == 1
     with alone(tmp_path):
         assert main(["reproduce", "fig7", "--quick", "--out", str(tmp_path), "--force"]) == 2
-    assert "a reproduction is still running" in capsys.readouterr().err
+    assert "a reproduction is still in progress" in capsys.readouterr().err
     (tmp_path / "manifest.json").write_text("[]")
     assert main(["reproduce", "fig7", "--quick", "--out", str(tmp_path)]) == 2
     write_sealed(tmp_path / "manifest.json", {"format": 1})  # as another command's

@@ -81,7 +81,7 @@ def test_a_second_run_in_a_folder_is_refused(stopped, copy, tmp_path, capsys) ->
         for more in (["--force"], ["--resume"], ["--resume", "--finish"]):
             start = ["anneal"] if "--resume" in more else SWEEPS
             assert f"process {os.getpid()}" in refused(capsys, *start, "--out", str(folder), *more)
-        assert "a run is still running" in refused(capsys, *SWEEPS, "--out", str(new))
+        assert "a run is still in progress" in refused(capsys, *SWEEPS, "--out", str(new))
         assert contents(folder) == before
     assert not new.exists() and not (folder / ".lock").exists()
 
@@ -89,7 +89,7 @@ def test_a_second_run_in_a_folder_is_refused(stopped, copy, tmp_path, capsys) ->
 def test_locks_are_shared_or_held_alone_and_end_with_the_last(tmp_path) -> None:
     told = []
     with together(tmp_path, told.append), together(tmp_path, told.append):
-        with pytest.raises(ValueError, match="is still running"), alone(tmp_path):
+        with pytest.raises(ValueError, match="is still in progress"), alone(tmp_path):
             pass
         with alone(tmp_path, ".part.lock"):
             assert (tmp_path / ".part.lock").exists()

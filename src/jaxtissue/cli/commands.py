@@ -90,7 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except MemoryError as error:
         return _fail(f"out of memory ({error}); use fewer cells", 1)
     except KeyboardInterrupt:
-        return _fail("stopped by Ctrl-C; saved results can be resumed", 130)
+        return _fail("stopped by Ctrl-C; the results saved so far are kept", 130)
 
 
 def anneal(arguments: dict[str, Any]) -> int:

@@ -233,7 +233,7 @@ def _require_filled(volume: Float64[np.ndarray, " n"], tube: Tube) -> None:
     filled = float(volume.sum() / tube.volume)
     if not abs(filled - 1) < UNFILLED:
         told = f"the cell volumes add up to {filled:.9g} times the volume of the tube"
-        raise ValueError(f"{told}; change the number of samples, or move backbones that nearly coincide apart")
+        raise ValueError(f"{told}; change the number of samples, or separate backbones that nearly coincide")
 
 
 def _patches_at(end: float, facets: _Facets, clip: Clip) -> Float64[np.ndarray, " f"]:

@@ -97,7 +97,7 @@ class _Forces:
         )
         point = self._energy.renewed(self._place + moved)
         if not np.isfinite(point.energy):
-            raise ValueError("the forces are not finite; move backbones that coincide apart")
+            raise ValueError("the forces are not finite; separate backbones that coincide")
         return point.gradient.ravel()
 
 

@@ -146,7 +146,7 @@ def _descend(
     longest = REACH * energy.width
     here = energy.renewed(positions * energy.units)
     if not np.isfinite(here.energy):
-        cure = "move backbones that coincide apart, or anneal a few sweeps first"
+        cure = "separate backbones that coincide, or anneal a few sweeps first"
         raise ValueError(f"the energy or its gradient is not finite at the start; {cure}")
     least, before = tolerance * float(np.linalg.norm(here.gradient)), np.inf
     for step in range(steps + 1):

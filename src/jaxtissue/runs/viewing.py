@@ -120,8 +120,8 @@ def _draw_internal(tissue: TissueRecord, path: Path, cell: int | None) -> None:
     contacts = tissue.connectivity.contacts
     inner = np.flatnonzero((contacts.kind == "internal") & (cell is None or (contacts.pairs == cell).any(axis=1)))
     if not len(inner):
-        what = "tissue" if cell is None else f"cell {cell}"
-        raise ValueError(f"{what} has no internal contact (on neither surface); use --what cell")
+        what = "the tissue" if cell is None else f"cell {cell}"
+        raise ValueError(f"{what} has no internal neighbors, which touch on neither surface; use --what cell")
     pair = contacts.pairs[inner[np.argmax(contacts.area[inner])]]
     transitions = tissue.connectivity.transitions
     both = np.isin(transitions.cells, pair).sum(axis=1) == 2

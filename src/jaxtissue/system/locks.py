@@ -88,7 +88,7 @@ def alone(folder: Path, name: str = NAME, what: str = "a run") -> Iterator[None]
             holder = lock.holder()
             os.close(lock._file)
             raise ValueError(
-                f"{what} is still running in {folder} ({holder}); wait until it has ended, or choose another folder"
+                f"{what} is still in progress in {folder} ({holder}); wait until it has ended, or choose another folder"
             )
         try:
             if lock.works and name == NAME:

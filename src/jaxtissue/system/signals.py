@@ -76,7 +76,7 @@ def _answer(told: int) -> None:
 
 def _end(number: int) -> NoReturn:
     """End the process, whatever its threads are at."""
-    line = f"jaxtissue: error: stopped by {signal.Signals(number).name}; saved results can be resumed\n"
+    line = f"jaxtissue: error: stopped by {signal.Signals(number).name}; the results saved so far are kept\n"
     try:
         for path in list(BEING_WRITTEN):
             path.unlink(missing_ok=True)

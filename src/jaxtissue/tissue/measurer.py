@@ -140,7 +140,7 @@ def doubts(cells: CellGeometry, tube: Tube, limits: tuple[float, float]) -> Iter
     The limits are fractions of the mean volume and of the mean lateral area.
     """
     for limit, told in over_limits(cells, limits):
-        cure = "use 64 bits (--x64 or jax_enable_x64), move backbones that nearly coincide apart"
+        cure = "use 64 bits (--x64 or jax_enable_x64), separate backbones that nearly coincide"
         cure += ", or give a larger tolerance" if limit < min(LIMITS) else ""
         yield f"{told}; {cure}"
     total, error = (np.asarray(c, float).sum() for c in (cells.volume, cells.volume_error))

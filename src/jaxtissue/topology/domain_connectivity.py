@@ -66,7 +66,7 @@ def _find_transitions(gaps: LayerGaps, risen: Rise) -> Transitions:
     open_ += int((ahead < -10 * TIE * gaps.size).sum())
     if open_:
         told = f"{open_} neighbor changes could not be resolved, so contacts and transition points may be missing"
-        warnings.warn(f"{told}; use more cells, or move backbones that nearly coincide apart", stacklevel=4)
+        warnings.warn(f"{told}; use more cells, or separate backbones that nearly coincide", stacklevel=4)
     per_cell = np.bincount(labels.ravel(), minlength=n)
     return Transitions(points, labels, per_cell, open_, flips.height[real])
 

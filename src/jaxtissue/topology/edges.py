@@ -77,7 +77,7 @@ def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
         message = (
             f"{graph.open_ends} edges of the diagram could not be followed, so contacts and transition points may be"
         )
-        warnings.warn(f"{message} missing; move backbones that nearly coincide apart", stacklevel=2)
+        warnings.warn(f"{message} missing; separate backbones that nearly coincide", stacklevel=2)
     return _settle(graph, plain, weights) if weights.any() else graph
 
 
