@@ -1,4 +1,4 @@
-"""The command that tells with what jaxtissue works here."""
+"""The command `info`, which prints versions, devices, precision and optional packages."""
 
 from importlib.util import find_spec
 from typing import Any

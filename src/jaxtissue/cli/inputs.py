@@ -1,4 +1,4 @@
-"""What the commands are given: checks of options that go together, and the tissue of files and sizes."""
+"""Input of the commands: checks of options that depend on each other, and the tissue from files and sizes."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Readers of the values of options, which refuse values out of range in one line."""
+"""Parsers of option values, which reject values out of range with a one-line message."""
 
 import argparse
 import math

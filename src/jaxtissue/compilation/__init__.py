@@ -1,1 +1,1 @@
-"""JAX and XLA only: settings, fusion, programs batched over replicas and kept on the disk, devices."""
+"""JAX and XLA only: settings, fusion, programs batched over replicas and stored on disk, devices."""

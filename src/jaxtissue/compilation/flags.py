@@ -1,4 +1,4 @@
-"""Turns off what JAX's CPU compiler gets wrong, before JAX starts."""
+"""Turn off a faulty optimization of JAX's CPU compiler, before JAX starts."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""The settings of JAX that decide results, held to the values that this library is written for."""
+"""The settings of JAX that affect results, fixed to the values for which this library is written."""
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager

@@ -1,1 +1,1 @@
-"""The cell that holds a point: voxels and their labels, point location, spread; and the exact path."""
+"""Which cell contains a point: voxels and labels, point location, spread; and the exact path."""

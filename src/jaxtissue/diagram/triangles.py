@@ -1,4 +1,4 @@
-"""Triangles of a layer, cut where the cells at their corners meet."""
+"""Triangles of a layer, cut along the walls between the cells at their corners."""
 
 from typing import NamedTuple
 

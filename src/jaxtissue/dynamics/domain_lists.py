@@ -1,4 +1,4 @@
-"""Lists for sweeps on any domain: complete ones, proved by a survey of all cells, and the short ones of a span."""
+"""Neighbor lists for sweeps on any domain: complete lists from a survey of all cells, and short lists for a span."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple

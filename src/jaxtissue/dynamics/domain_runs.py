@@ -1,4 +1,4 @@
-"""Spans of sweeps on any domain, each checked against a survey, and played again where that shows other cells."""
+"""Spans of sweeps on any domain, each checked against a survey and repeated if the survey shows a missing neighbor."""
 
 import warnings
 from collections.abc import Sequence

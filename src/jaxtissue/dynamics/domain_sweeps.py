@@ -1,4 +1,4 @@
-"""Sweeps on any domain, as `metropolis` plays them on tubes: one sweep, several on the same lists, and a survey."""
+"""Sweeps on any domain, as `metropolis` on tubes: one sweep, several sweeps on the same lists, and a survey."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""An estimate of the memory that a run will take, and the memory of the machine."""
+"""An estimate of the memory that a run needs, and the memory of the machine."""
 
 import os
 

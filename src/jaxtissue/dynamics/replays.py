@@ -1,4 +1,4 @@
-"""Spans of sweeps, played on short neighbor lists and played again where a list turns out to lack a neighbor."""
+"""Spans of sweeps, run on short neighbor lists and repeated if a neighbor was missing on a list."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

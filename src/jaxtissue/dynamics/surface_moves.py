@@ -1,4 +1,4 @@
-"""Moves on the apical surface of any domain, with what keeps them symmetric where the metric varies."""
+"""Moves on the apical surface of any domain, with the Hastings ratio where the metric varies."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,4 +1,4 @@
-"""Tissues measured between sweeps, on complete neighbor lists, with the clearance of each candidate."""
+"""Measurement of whole tissues between sweeps, on complete neighbor lists, with the clearance of each candidate."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple

@@ -1,1 +1,1 @@
-"""The geometry of a tissue: backbones, the tube, and the one gate for positions."""
+"""The geometry of a tissue: backbones, the tube and other domains, and the checks of positions."""

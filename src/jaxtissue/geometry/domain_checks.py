@@ -1,4 +1,4 @@
-"""What a domain is checked for when it is made: finite surfaces that are apart, and layers that do not overlap."""
+"""Checks of a new domain: its surfaces are finite and apart, and its layers do not overlap."""
 
 from dataclasses import fields
 from typing import Any

@@ -1,4 +1,4 @@
-"""The gate for positions on any domain: input of any form becomes one array of floats, or is refused in one line."""
+"""Checks of positions on any domain: input in any form is converted to one array of floats, or rejected."""
 
 from typing import Any
 

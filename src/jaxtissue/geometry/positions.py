@@ -1,4 +1,4 @@
-"""The gate for positions: input of any form becomes one array of floats, or is refused in one line."""
+"""Checks of positions: input in any form is converted to one array of floats, or rejected."""
 
 import math
 import warnings

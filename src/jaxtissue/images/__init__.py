@@ -1,1 +1,1 @@
-"""Images of labels: measured as they are, and fitted by tissues."""
+"""Label images: measuring them, and fitting tissues to them."""

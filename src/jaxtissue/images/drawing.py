@@ -1,4 +1,4 @@
-"""Tissues as images of labels, wherever and however turned they lie in the image."""
+"""Tissues drawn as label images, at any place and in any orientation."""
 
 from typing import Any
 

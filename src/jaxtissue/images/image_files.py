@@ -1,4 +1,4 @@
-"""Label images from files: TIFF with the sides of its voxels, and NumPy arrays."""
+"""Label images from files: TIFF with its voxel size, and NumPy arrays."""
 
 from pathlib import Path
 from typing import Any, NamedTuple

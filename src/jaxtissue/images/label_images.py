@@ -1,4 +1,4 @@
-"""Label images as they are given: checked, and freed of specks and of the lines between cells."""
+"""Checks of label images, and removal of specks and of background lines between cells."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The straight tube that an image of labels shows: axis, radii and ends."""
+"""Fit of a straight tube to a label image: axis, radii and ends."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Faces between voxels of different labels: where walls run, which way they face, and their area."""
+"""Faces between voxels with different labels: their positions, normals and areas."""
 
 from itertools import pairwise
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Measuring cells: volume, lateral area, surfaces and perimeters, in windows of lines round each backbone."""
+"""Measurement of cells: volume, lateral area, surfaces and perimeters, in windows of lines around each backbone."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple

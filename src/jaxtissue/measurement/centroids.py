@@ -1,4 +1,4 @@
-"""The first moments of cells on the lines: where each has its centroid, as seen from its backbone."""
+"""First moments of cells on the lines, which give their centroids relative to their backbones."""
 
 from typing import Any, NamedTuple
 

@@ -1,4 +1,4 @@
-"""The report: what the paper says beside what was found, as Markdown."""
+"""The report: statements of the paper compared with the results here, as Markdown."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Tissues to look at: annealed ones with their history, and ones relaxed by Lloyd's method."""
+"""Tissues for figures: annealed tissues with their history, and tissues relaxed by Lloyd's method."""
 
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Calls that do not depend on each other, by several processes at once, each on one core."""
+"""Independent calls, run by several processes at once, each on one core."""
 
 import gc
 import multiprocessing

@@ -1,1 +1,1 @@
-"""People's folders: settings, one run, a grid of runs, tables, plots."""
+"""Output folders: settings, one run, a grid of runs, tables, plots."""

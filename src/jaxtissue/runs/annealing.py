@@ -1,4 +1,4 @@
-"""One annealing run in a folder: begun, saved as it goes, resumed to the bit, finished with figures."""
+"""One annealing run in a folder: started, saved regularly, resumed bit by bit, finished with figures."""
 
 import os
 import time

@@ -1,4 +1,4 @@
-"""Tables of backbones: CSV with commas, semicolons or tabs, read whole or refused."""
+"""Tables of backbones: CSV with commas, semicolons or tabs, read completely or rejected."""
 
 import csv
 import math

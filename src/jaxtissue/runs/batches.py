@@ -1,4 +1,4 @@
-"""Runs annealed together, a batch at a time: replicas of one program."""
+"""Runs annealed together in batches, as replicas in one program."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple

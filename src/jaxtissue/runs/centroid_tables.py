@@ -1,4 +1,4 @@
-"""Tables of centroids: their columns as other programs name them, and the tube's axis, which they lie round."""
+"""Tables of centroids: the column names of other programs, and a fit of the axis of the tube to the centroids."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""The parts of divided work: one process, a job of an array, or one of several processes under JAX."""
+"""Distribution of work: one process, a job of a Slurm array, or one of several processes under JAX."""
 
 import os
 from collections.abc import Mapping, Sequence

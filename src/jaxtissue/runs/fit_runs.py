@@ -1,4 +1,4 @@
-"""A tissue fitted to an image, as files that the other commands go on from."""
+"""A tissue fitted to an image, written as files from which the other commands continue."""
 
 import time
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A grid annealed into one table, in a folder: each row kept as it ends, and only what is missing done."""
+"""A grid annealed into one table in a folder: rows are saved when they are finished, and missing rows computed."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""A grid of annealing runs: every combination of the given values, a row each."""
+"""A grid of annealing runs: one row for every combination of the given values."""
 
 import hashlib
 import itertools

@@ -1,4 +1,4 @@
-"""Names of cells in files: what would break a table, or be taken for a formula, is escaped and read back."""
+"""Names of cells in files: names that would break a table, or be read as a formula, are escaped."""
 
 import re
 

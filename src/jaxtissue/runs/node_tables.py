@@ -1,4 +1,4 @@
-"""Tables of tilted and bent backbones: columns for both ends, or a row for each node."""
+"""Tables of tilted and bent backbones: columns for both ends, or one row per node."""
 
 from collections import Counter
 from collections.abc import Sequence

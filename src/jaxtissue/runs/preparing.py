@@ -1,4 +1,4 @@
-"""What the figures of a run need and is known before its last sweep, got ready while the device computes."""
+"""Parts of the figures of a run that are prepared before its last sweep, while the device computes."""
 
 from contextlib import suppress
 from threading import Thread

@@ -1,4 +1,4 @@
-"""One relaxation in a folder: a tissue goes down the gradient of its energy, with the files and figures of a run."""
+"""One relaxation in a folder: minimizes the energy of a tissue, and writes the files and figures of a run."""
 
 import os
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""A run's files: what it leaves at its beginning, and what is read when it is taken up again."""
+"""The files of a run: written at its start, and read when it is resumed."""
 
 import hashlib
 import os

@@ -1,4 +1,4 @@
-"""The arguments of an annealing run, as they are given, kept in its folder and held to when it is resumed."""
+"""The arguments of an annealing run, stored in its folder and checked when it is resumed."""
 
 import importlib.metadata
 import os

@@ -1,4 +1,4 @@
-"""Who touches whom on each layer, from the edges of sections."""
+"""Contacts between cells on each layer, from the edges of their sections."""
 
 from typing import NamedTuple
 

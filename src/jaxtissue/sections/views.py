@@ -1,4 +1,4 @@
-"""What a cell sees on a layer: coordinates in its tangent plane, and its rivals' bisectors there."""
+"""Coordinates of a cell in its tangent plane on a layer, and the bisectors to its candidates there."""
 
 from typing import NamedTuple
 

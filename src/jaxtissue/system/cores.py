@@ -1,4 +1,4 @@
-"""The number of processor cores that this process may use, and work shared out among them."""
+"""The number of processor cores that this process may use, and distribution of work over them."""
 
 import multiprocessing
 import os

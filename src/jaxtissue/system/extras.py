@@ -1,4 +1,4 @@
-"""Optional packages, imported when they are used, and named with their remedy where they are missing."""
+"""Import of optional packages on first use, with a message that names the extra if one is missing."""
 
 from importlib import import_module
 from types import ModuleType

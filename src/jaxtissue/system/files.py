@@ -1,4 +1,4 @@
-"""Files that are whole or not there, know when they are damaged, and lead nowhere out of their folder."""
+"""Files that are written completely or not at all, with checksums, and never through links."""
 
 import contextlib
 import hashlib

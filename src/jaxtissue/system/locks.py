@@ -1,4 +1,4 @@
-"""One process at a time in a folder, or several that share it. A lock ends with its process."""
+"""Locks for folders: one process at a time, or several that share a folder. A lock ends with its process."""
 
 import contextlib
 import os

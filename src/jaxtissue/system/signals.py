@@ -1,4 +1,4 @@
-"""Stopping a process from outside: at once in one line, or a run after the sweeps it is in."""
+"""Stopping a process by a signal: immediately with one line, or a run after its current span of sweeps."""
 
 import contextlib
 import gc

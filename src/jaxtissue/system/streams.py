@@ -1,4 +1,4 @@
-"""Standard streams that take every text, also where they are closed or of another encoding."""
+"""Standard streams that accept any text, also if they are closed or have another encoding."""
 
 import os
 import sys

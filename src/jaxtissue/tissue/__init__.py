@@ -1,1 +1,1 @@
-"""All cells of a tissue, measured once or again and again, doubtful ones traced."""
+"""Measurement of all cells of a tissue, once or repeatedly; cells with large error estimates are traced."""

@@ -1,4 +1,4 @@
-"""Measuring whole tissues on any domain, by sections, on lists that are proved to be complete."""
+"""Measurement of whole tissues on any domain, by sections with complete neighbor lists."""
 
 import warnings
 from collections.abc import Callable, Iterator

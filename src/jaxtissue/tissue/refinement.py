@@ -1,4 +1,4 @@
-"""Sizes of cells with their errors: two rules are compared; where they differ, cells are traced."""
+"""Sizes of cells with error estimates: two resolutions are compared, and cells in which they differ are traced."""
 
 import functools
 import math

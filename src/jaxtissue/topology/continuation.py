@@ -1,4 +1,4 @@
-"""Points that move along the diagram's edges, step by step, each to the vertex that ends its edge."""
+"""Points that follow the edges of the diagram step by step to the vertices at which these end."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""The sections of all cells on one layer as polygons, nearly: which cells touch there, but for very short walls."""
+"""Approximate sections of all cells on one layer as polygons: contacts there, except at very short walls."""
 
 from typing import NamedTuple
 

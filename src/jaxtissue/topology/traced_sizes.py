@@ -1,4 +1,4 @@
-"""Sizes of cells from their traced faces, in float64: with bounds of the errors that tracing leaves."""
+"""Sizes of cells from their traced faces, in float64, with bounds of the remaining errors."""
 
 import warnings
 from typing import NamedTuple
