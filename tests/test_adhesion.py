@@ -103,7 +103,7 @@ def test_unlike_cells_part_and_like_ones_do_not(positions, types):
 @pytest.mark.parametrize(
     ("types", "weights", "told"),
     [
-        (np.zeros(89, int), WEIGHTS, "each of 90 cells"),
+        (np.zeros(89, int), WEIGHTS, "each of the 90 cells"),
         (np.zeros(90), WEIGHTS, "whole number"),
         (np.full(90, 2), WEIGHTS, "types range from 2 to 2, but weights have 2 rows"),
         (np.zeros(90, int), np.ones((2, 3)), r"\(2, 3\)"),

@@ -74,7 +74,7 @@ def started(model) -> None:
 @pytest.mark.parametrize("length", [1, 3, 57])
 def test_arrays_of_constants_are_refused_by_name(name, length) -> None:
     constants: dict[str, Any] = {"mean_volume": 1.0, "modulus": 1.0, "tension": 0.4, name: np.ones(length)}
-    with pytest.raises(ValueError, match=rf"{name} is an array of shape \({length},\); give one number"):
+    with pytest.raises(ValueError, match=rf"{name} is an array of shape \({length},\); give a single number"):
         started(Model(TUBE, **constants))
     with pytest.raises(ValueError, match=name):
         cell_energies(CELLS, Model(TUBE, **constants))

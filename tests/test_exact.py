@@ -212,7 +212,7 @@ def test_close_pair_shares_one_cell(shift: tuple[float, float]) -> None:
     "positions, samples, message",
     [
         ([[1.0, 0.5], [2.0, 0.0], [1.0, 0.5 + 2 * np.pi]], 50, "backbones 0 and 2 are the same"),
-        ([[1.0, 0.5], [10.5, 0.0]], 50, "backbone 1: axial=10.5 .* give 0 to 10"),
+        ([[1.0, 0.5], [10.5, 0.0]], 50, "backbone 1: axial=10.5 .* give a value from 0 to 10"),
         ([[np.nan, 0.5]], 50, "backbone 0"),
         ([[1.0, np.inf]], 50, "backbone 0"),
         ([1.0, 0.5], 50, r"shape \(2,\)"),

@@ -72,7 +72,7 @@ BAD = {
     "float.npy": (lambda image: image.astype(float), "float64"),
     "negative.npy": (lambda image: -image.astype(int), "the label -120"),
     "mask.npy": (lambda image: (image > 0).astype(np.uint8), "only one label, 1"),
-    "rgb.tif": (lambda image: np.stack([image[9].astype(np.uint8)] * 3, axis=-1), "colors"),
+    "rgb.tif": (lambda image: np.stack([image[9].astype(np.uint8)] * 3, axis=-1), "color image"),
     "channels.ome.tif": (lambda image: np.stack([image] * 2), "2 channels"),
     "times.ome.tif": (lambda image: np.stack([image] * 2), "2 time points"),
     "broken.tif": (None, "can't be read"),

@@ -110,7 +110,7 @@ def test_an_image_is_labeled_alike_in_both_precisions(dtype):
 
 def test_what_is_not_finite_or_outside_is_refused():
     tube, positions = TISSUES["uniform"]
-    with pytest.raises(ValueError, match=r"point 1 at .*nan"):
+    with pytest.raises(ValueError, match=r"point 1, .*nan"):
         label_points([[1.0, 1, 1], [np.nan, 1, 1]], positions, tube)
     with pytest.raises(ValueError, match=r"backbone 0: axial=21"):
         label_points([[1.0, 1, 1]], [[21.0, 0.0]], tube)

@@ -103,7 +103,7 @@ def test_meshes_turn_and_mirror_with_the_tissue(positions, meshes):
 
 
 def test_a_tolerance_must_be_one():
-    with pytest.raises(ValueError, match="tolerance=0; give a fraction"):
+    with pytest.raises(ValueError, match="tolerance=0 is not positive; give a fraction"):
         mesh_cells([[1, 0]], TUBE, 0)
 
 

@@ -306,7 +306,7 @@ def test_the_law_fits_the_neighbors_of_random_tissue():
         ([1, 2, 5, 9], [6, 7, math.nan, 8], "finite"),
         ([0, 2, 5, 9], [6, 7, 7, 8], "above 0"),
         ([1, 2, 5, 9], [6, 6, 6, 6], "the same"),
-        ([1, 2, 4, 8, 16], [6, 7, 8.1, 9.4, 11], "level off"),
+        ([1, 2, 4, 8, 16], [6, 7, 8.1, 9.4, 11], "levels off"),
     ],
 )
 def test_what_makes_no_law_is_refused(ratios, neighbors, named):
