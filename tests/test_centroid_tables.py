@@ -112,9 +112,9 @@ def test_measure_needs_no_sizes_for_layers(tmp_path, positions, recwarn, capsys)
     assert main(["measure", str(path), "--no-contacts", "--resolution", "draft", "--out", str(out)]) == 0
     assert load_domain(out / "domain.json").basal_radius == 8 and len(recwarn) == 1
     for wrong, told in (
-        ([*rows, rows[3]], "line 122: id='c3' is on layer '0' on line 5 too"),
-        ([("c", "0", "0", "1", "1"), *rows], "line 2: radius=0; give that of the layer"),
-        ([(*row[:4], str(2 * float(row[4]))) for row in rows], "give y along the circumference"),
+        ([*rows, rows[3]], "line 122: id='c3' is also on layer '0' on line 5"),
+        ([("c", "0", "0", "1", "1"), *rows], "line 2: radius=0 is not above 0"),
+        ([(*row[:4], str(2 * float(row[4]))) for row in rows], "give y as the length along the circumference"),
     ):
         assert main(["measure", str(write_layers(path, wrong)), "--out", str(out), "--force"]) == 2
         assert told in capsys.readouterr().err

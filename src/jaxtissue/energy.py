@@ -287,9 +287,7 @@ def require_finite(energies: Any, model: Model) -> None:
         return
     constants = ", ".join(f"{name}={float(getattr(model, name)):.6g}" for name in CONSTANTS)
     found = f"{_name(model)} is {energy[~np.isfinite(energy)][0]} in {energy.dtype} ({constants})"
-    raise ValueError(
-        f"{found}; change the unit of length{f', {X64}' * (energy.dtype == np.float32)}, or correct the function"
-    )
+    raise ValueError(f"{found}; correct the energy or the unit of length{f', or {X64}' * (energy.dtype == np.float32)}")
 
 
 def _check_constant(name: str, value: Any) -> None:

@@ -109,9 +109,7 @@ def _in_radians(table: _Table, positions: np.ndarray, degrees: bool) -> np.ndarr
     """The positions with all angles in radians."""
     angles = [k for k, name in enumerate(table.columns) if name.split("_")[-1] == "angle"]
     if degrees and not angles:
-        raise ValueError(
-            f"--degrees applies to angles, but {table.path} has {', '.join(table.columns)}; remove --degrees"
-        )
+        raise ValueError(f"--degrees applies to angles, not to {', '.join(table.columns)} of {table.path}; remove it")
     for k in angles:
         positions[:, k] = _radians(table, table.columns[k], positions[:, k], degrees)
     return positions
@@ -123,9 +121,7 @@ def _place(table: _Table, points: np.ndarray, tube: Tube, degrees: bool) -> tupl
     if len(units) > 1:
         raise ValueError(f"{table.path}: the header {table.header!r} gives centroids in different units; use one unit")
     if degrees:
-        raise ValueError(
-            f"--degrees applies to angles, but {table.path} has {', '.join(table.columns)}; remove --degrees"
-        )
+        raise ValueError(f"--degrees applies to angles, not to {', '.join(table.columns)} of {table.path}; remove it")
     joined = _join(table) if table.columns == layer_tables.COLUMNS else None
     try:
         found = joined.place(tube) if joined else place_centroids(points, tube)

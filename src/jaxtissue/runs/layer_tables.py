@@ -1,4 +1,4 @@
-"""Tables of centroids on the layers of a tube, each unrolled: a row for each cell and layer, and the tube they tell."""
+"""Tables of centroids on the layers of a tube, each unrolled: one row per cell and layer, and a fit of the tube."""
 
 import math
 from collections.abc import Sequence
@@ -39,7 +39,9 @@ class Layered(NamedTuple):
         """
         inner, outer = self.radii
         if not inner < outer:
-            raise ValueError(f"all layers have the radius {inner:g}; give layers from the apical to the basal surface")
+            raise ValueError(
+                f"all layers have the radius {inner:g}; give layers at different radii, from apical to basal"
+            )
         width = math.sqrt(math.pi * (inner + outer) / len(self.axial))  # of a cell, for a tube of length 1
         root = (width + math.sqrt(width**2 + 4 * float(np.ptp(self.axial)))) / 2
         return Tube(root**2, inner, outer)
@@ -74,20 +76,22 @@ def join_layers(
     for line, *place in zip(lines, cells, layers, strict=True):
         cell, layer = place
         if not cell:
-            raise ValueError(f"line {line}: id is empty; name the cell")
+            raise ValueError(f"line {line}: id is empty; give the cell a name")
         if (cell, layer) in seen:
-            raise ValueError(f"line {line}: id={cell!r} is on layer {layer!r} on line {seen[cell, layer]} too")
+            raise ValueError(
+                f"line {line}: id={cell!r} is also on layer {layer!r} on line {seen[cell, layer]}; remove one"
+            )
         seen[cell, layer] = line
     radius, x, y = points.T
     if (radius <= 0).any():
         row = int(np.argmax(radius <= 0))
-        raise ValueError(f"line {lines[row]}: radius={radius[row]:g}; give that of the layer, above 0")
+        raise ValueError(f"line {lines[row]}: radius={radius[row]:g} is not above 0; give the radius of the layer")
     for layer in dict.fromkeys(layers):
         own = np.array([name == layer for name in layers])
         reach, whole = np.ptp(y[own]), 2 * math.pi * radius[own].max()
         if reach > _ROUND * whole:
-            told = f"on layer {layer!r} y goes over {reach:.4g}, and round the tube it is {whole:.4g}"
-            raise ValueError(f"{told}; give y along the circumference, in the unit of the radius")
+            told = f"y spans {reach:.4g} on layer {layer!r}, more than its circumference of {whole:.4g}"
+            raise ValueError(f"{told}; give y as the length along the circumference, in the unit of the radius")
     first = dict(reversed([(cell, line) for cell, line in zip(cells, lines, strict=True)]))
     names = tuple(sorted(first, key=first.__getitem__))
     number = {name: at for at, name in enumerate(names)}
