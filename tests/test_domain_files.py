@@ -107,7 +107,7 @@ def test_commands_take_the_file_in_place_of_the_sizes(tmp_path, backbones, capsy
     for bad, told in (
         (["measure", backbones, "--domain", str(domain), *FLAGS[:2], "--out", "o"], "this option or --domain"),
         (["anneal", "--domain", str(domain), *FLAGS[2:4], "--out", "o"], "--apical-radius conflicts with the domain"),
-        (["measure", backbones, *FLAGS[:4], "--out", "o"], "--basal-radius not given"),
+        (["measure", backbones, *FLAGS[:4], "--out", "o"], "missing --basal-radius"),
         (["compare", backbones, "--domain", str(tmp_path / "none.json")], "can't be read"),
     ):
         assert main(bad) == 2

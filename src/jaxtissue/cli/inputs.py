@@ -69,7 +69,7 @@ def _tube_sizes(arguments: dict[str, Any]) -> list[float]:
     """The sizes of the tube. Raises `ValueError` where one is not given."""
     missing = ["--" + name.replace("_", "-") for name in TUBE_SIZES if name not in arguments]
     if missing:
-        raise ValueError(f"{', '.join(missing)} missing; give all sizes of the tube, or a file with --domain")
+        raise ValueError(f"missing {', '.join(missing)}; give all sizes of the tube, or a file with --domain")
     return [arguments[name] for name in TUBE_SIZES]
 
 
