@@ -134,7 +134,7 @@ def read_domain(values: Mapping[str, Any]) -> Any:
 
     >>> read_domain({"shape": "tube", "length": 40, "apical_radius": 2})
     Traceback (most recent call last):
-    ValueError: the tube has no basal_radius; add it
+    ValueError: the size 'basal_radius' of the shape 'tube' is missing; add it
     """
     sizes = dict(values)
     if "shape" not in sizes:

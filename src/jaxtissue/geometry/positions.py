@@ -75,7 +75,7 @@ def as_positions(
            [7., 1.]], dtype=float32)
     >>> as_positions([[5, 0], [11, 1]], Tube(10, 1, 2))
     Traceback (most recent call last):
-    ValueError: backbone 1: axial=11.0 is outside the tube; give 0 to 10.0
+    ValueError: backbone 1: axial=11.0 is outside the tube; give a value from 0 to 10.0
     """
     require_tube(tube)
     if isinstance(positions, Tracer):
@@ -215,7 +215,7 @@ def as_rows(positions: Any, names: tuple[str, ...], cells: int) -> Any:
 
     >>> as_rows([[5, 0], [7, 1]], ("axial", "angle"), 3)
     Traceback (most recent call last):
-    ValueError: 2 positions for lists of 3 cells; allocate others
+    ValueError: 2 positions for neighbor lists of 3 cells; allocate new neighbor lists
     """
     precision = jnp.result_type(float)
     if not isinstance(positions, Array):
@@ -238,7 +238,7 @@ def check_count(cells: int, domain: Any, mean_volume: Any, within: float = 0.01)
 
     >>> check_count(25, Tube(10, 1, 2), Tube(10, 1, 2).volume / 20)
     Traceback (most recent call last):
-    ValueError: 25 backbones for a model of 20 cells; make it with tube_model(tube, 25)
+    ValueError: 25 backbones for a model of 20 cells; make the model with tube_model(tube, 25)
     """
     total = domain.volume
     if isinstance(total, Tracer) or isinstance(mean_volume, Tracer):

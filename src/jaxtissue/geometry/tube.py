@@ -57,7 +57,7 @@ class Tube(eqx.Module):
     31102
     >>> Tube(length=100, apical_radius=10, basal_radius=1)
     Traceback (most recent call last):
-    ValueError: apical_radius=10.0 is not below basal_radius=1.0; swap or change them
+    ValueError: apical_radius=10.0 is not smaller than basal_radius=1.0; swap or correct them
     """
 
     length: float | Array = eqx.field(converter=_plain)

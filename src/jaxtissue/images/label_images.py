@@ -14,7 +14,7 @@ def as_labels(image: Any) -> Int[np.ndarray, "z y x"]:
 
     >>> as_labels([[1, 2], [3, 4]])
     Traceback (most recent call last):
-    ValueError: the image has 2 dimensions, (2, 2); give a volume of labels in the order (z, y, x)
+    ValueError: the image has 2 dimensions (shape (2, 2)); give a 3D label image with axes (z, y, x)
     """
     given = np.asarray(image)
     if given.ndim == 4 and given.shape[-1] in (3, 4):

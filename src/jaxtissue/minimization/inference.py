@@ -150,7 +150,7 @@ def infer_parameters(
     >>> tube = Tube(length=12.0, apical_radius=1.0, basal_radius=3.0)
     >>> infer_parameters([[3.0, 0.0], [8.0, 1.0]], tube, types=[0, 1])
     Traceback (most recent call last):
-    ValueError: tension and a target volume of every cell are known only up to a common factor ... give the tension...
+    ValueError: with a separate target volume V_0 for each cell, tension and V - V_0 ... give the tension, ...
     """
     place = np.asarray(as_positions(positions, tube))
     members = _members(types, len(place), tension is None)
