@@ -53,7 +53,12 @@ class PlacedEnergy:
         model: The energy.
         units: How long one unit of each coordinate of a position is, in the mean, [d].
         width: The width of a mean cell.
+
+    Attributes:
+        stalled: Relative decrease of the energy between two checks that is none.
     """
+
+    stalled = 1e-7
 
     def __init__(self, model: Model, units: Float[np.ndarray, " d"], width: float) -> None:
         self.model, self.units, self.width = model, units, width
