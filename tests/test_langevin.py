@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxtissue as jt
-from jaxtissue.dynamics.langevin import Chain
+from jaxtissue.minimization.langevin import Chain
 from jaxtissue.minimization.lbfgs import Point
 
 

@@ -14,7 +14,6 @@ from .dynamics.annealer import Annealer as Annealer
 from .dynamics.schedules import constant_schedule as constant_schedule, geometric_schedule as geometric_schedule
 from .dynamics.steps import init as init, step as step
 from .dynamics.sweep_log import SweepRecord as SweepRecord
-from .dynamics.langevin import sample_langevin as sample_langevin
 from .dynamics.tempering import temper as temper
 from .energy import (
     Model as Model,
@@ -41,6 +40,7 @@ from .measurement.adhesion import Adhesion as Adhesion
 from .measurement.cell_geometry import CellGeometry as CellGeometry
 from .measurement.quadrature import PRESETS as PRESETS, Resolution as Resolution
 from .minimization.inference import infer_parameters as infer_parameters
+from .minimization.langevin import sample_langevin as sample_langevin
 from .minimization.relaxation import relax as relax
 from .minimization.response import minimum_response as minimum_response
 from .minimization.tissue_energy import tissue_energy as tissue_energy

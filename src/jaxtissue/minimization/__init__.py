@@ -1,1 +1,1 @@
-"""Minimization of the energy: its gradient, and methods that go down it."""
+"""The energy's gradient, and methods that go down it or sample by it."""
