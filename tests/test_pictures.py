@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from functools import partial
+from types import SimpleNamespace
 
 import imageio_ffmpeg
 import jax
@@ -15,14 +16,16 @@ from PIL import Image
 from jaxtissue.cli.commands import main
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.exports.tissue_record import TissueRecord
+from jaxtissue.geometry.shapes import Slab, Sphere
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.cell_meshes import mesh_cells
 from jaxtissue.meshes.coloring import PALETTE, spread_colors
 from jaxtissue.meshes.cuts import segments
 from jaxtissue.meshes.straight_edges import straighten
 from jaxtissue.pictures.bodies import body
+from jaxtissue.pictures.domain_outsides import open_domain
 from jaxtissue.pictures.movies import save_movie, turn_round
-from jaxtissue.pictures.outsides import cut_open
+from jaxtissue.pictures.outsides import OPEN, cut_open
 from jaxtissue.pictures.scenes import centers, draw_tissue
 from jaxtissue.runs import formats
 from jaxtissue.runs.backbone_files import BackboneTable
@@ -180,6 +183,35 @@ def test_a_turntable_shows_the_tissue_from_all_round(tissue, tmp_path, ending):
     else:
         with Image.open(tmp_path / "turn.gif") as movie:
             assert movie.n_frames == 3 and movie.size == (120, 80)
+
+
+def test_other_domains_are_opened_and_drawn(tmp_path, capsys):
+    cyst = Sphere(1, 2)
+    places = np.random.default_rng(0).normal(size=(30, 3))
+    places /= np.linalg.norm(places, axis=1, keepdims=True)
+    faces = open_domain(places, cyst, 3000)
+    away = [np.linalg.norm(face.points, axis=2) for face in faces]
+    np.testing.assert_allclose(away[0], 1)
+    np.testing.assert_allclose(away[1], 2)
+    for face in faces[2:]:  # the cut: planes through the x axis
+        normal = np.linalg.svd(face.points.reshape(-1, 3))[2][2]
+        np.testing.assert_allclose(face.points @ normal, 0, atol=1e-6)
+    # cells of radial backbones are cones: the nearest direction
+    u, v = (np.arange(faces[1].cells.shape[axis]) + 0.5 for axis in (0, 1))
+    north = np.pi * (u / len(u) - 0.5)[:, None]
+    turn = (OPEN[1] + v / len(v) * 1.5 * np.pi)[None]
+    ways = np.stack([np.sin(north) + 0 * turn, np.cos(north) * np.cos(turn), np.cos(north) * np.sin(turn)], axis=-1)
+    np.testing.assert_array_equal(faces[1].cells, (ways @ places.T).argmax(axis=2))
+    slab = open_domain(np.array([[1.0, 1.0], [3.0, 1.0]]), Slab(4, 2, 1), 1000)
+    assert len(slab) == 6 and all(set(np.unique(face.cells)) <= {0, 1} for face in slab)
+    contacts = SimpleNamespace(pairs=np.concatenate([face.pairs() for face in faces]))
+    view_tissue(TissueRecord(places, cyst, traced=SimpleNamespace(contacts=contacts)), "tissue", tmp_path / "cyst.png")
+    assert imread(tmp_path / "cyst.png").std() > 0.1
+    save_tissue(tmp_path, cyst, BackboneTable(places, None))
+    for command in (["export", str(tmp_path), "--to", "vtu", "--out", str(tmp_path / "out")],
+                    ["view", str(tmp_path), "--what", "bodies"]):  # fmt: skip
+        assert main(command) == 2
+        assert "a Sphere has no meshes of cells yet" in capsys.readouterr().err
 
 
 def test_a_run_becomes_a_movie(tissue, tmp_path):

@@ -88,9 +88,10 @@ def test_surfaces_are_mapped_before_and_after():
         ["basal surface, before", "basal surface, after"],
         ["apical surface, before", "apical surface, after"],
     ]
-    for panel in axes.flat:
+    for panel, radius in zip(axes.flat, (5, 5, 2, 2), strict=True):
         image = panel.images[0]
         assert tuple(image.get_extent()) == (0, 20, 0, 360)
+        assert panel.get_aspect() == pytest.approx(2 * np.pi * radius / 360)  # to scale
         assert (image.get_array()[..., :3] == 38).all(axis=-1).any()  # walls
         x, y = panel.lines[0].get_data()
         np.testing.assert_allclose(np.stack([x, np.radians(y)], axis=-1), POSITIONS, rtol=1e-6)

@@ -39,7 +39,6 @@ from jaxtissue.geometry.tube import TUBE_SIZES, Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.annealing import resume_annealing, run_annealing
 from jaxtissue.runs.grids import AXES, SIZES, Grid
-from jaxtissue.runs.pages import write_page
 from jaxtissue.runs.reports import (
     compare_presets,
     contact_summary,
@@ -190,11 +189,8 @@ def measure(arguments: dict[str, Any]) -> int:
         _print_summary(summary)
         shown = plots.Tissue("unrolled" if plots.unrolls(domain) else "", place, columns["volume"])
         plots.save_figure(folder / "surfaces.png", partial(plots.plot_surfaces, domain, [shown]))
-        if isinstance(domain, Tube):
-            tissue = TissueRecord(place, domain, backbones.names, traced=connectivity)
-            leave_pictures(tissue, folder, arguments["flat"] or connectivity is None)
-        else:
-            write_page(folder)
+        tissue = TissueRecord(place, domain, backbones.names, traced=connectivity)
+        leave_pictures(tissue, folder, arguments["flat"] or connectivity is None)
     return 0
 
 

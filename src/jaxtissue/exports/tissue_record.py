@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.cell_meshes import TOLERANCE, CellMeshes, mesh_cells
 from jaxtissue.meshes.shapes import ratio, tabulate_shapes
@@ -18,11 +19,13 @@ _SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimet
 
 @dataclass(frozen=True)
 class TissueRecord:
-    """Tissue of a tube with its contacts, meshes and table of cells, each computed on first access.
+    """Tissue with its contacts, meshes and table of cells, each computed on first access.
+
+    On domains other than `Tube` only the contacts are available; `tube` raises `ValueError` there.
 
     Attributes:
-        positions: Axial position and angle in radians of each backbone, shape [n, 2].
-        tube: The tube.
+        positions: Positions of the backbones, shape [n, d]; in a tube axial position and angle in radians.
+        domain: The tube or other domain.
         names: Names of the cells, or None.
         unit: Unit of length, such as "um"; empty if unknown.
         history: Positions after some sweeps of a run, shape [n, 2], by number of the sweep.
@@ -30,18 +33,26 @@ class TissueRecord:
         traced: Result of an earlier `find_connectivity`, or None.
     """
 
-    positions: Float[np.ndarray, "n 2"]
-    tube: Tube
+    positions: Float[np.ndarray, "n d"]
+    domain: Tube | Domain
     names: Sequence[str] | None = None
     unit: str = ""
     history: Mapping[int, Float[np.ndarray, "n 2"]] = field(default_factory=dict)
     tolerance: float = TOLERANCE
     traced: Connectivity | None = None
 
+    @property
+    def tube(self) -> Tube:
+        """The tube. Raises `ValueError` where the domain is another."""
+        if not isinstance(self.domain, Tube):
+            told = f"a {type(self.domain).__name__} has no meshes of cells yet"
+            raise ValueError(f"{told}; draw it with: jaxtissue view RUN --what tissue, or give a tube")
+        return self.domain
+
     @cached_property
     def connectivity(self) -> Connectivity:
         """Contacts, transition points, topology and geometry of the cells."""
-        return self.traced or find_connectivity(self.positions, self.tube)
+        return self.traced or find_connectivity(self.positions, self.domain)
 
     @cached_property
     def meshes(self) -> CellMeshes:

@@ -17,9 +17,7 @@ from jaxtissue.dynamics.schedules import has_stalled
 from jaxtissue.dynamics.sweep_log import AcceptanceWatch
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domain_positions import column_names
-from jaxtissue.geometry.tube import Tube
 from jaxtissue.runs import storage
-from jaxtissue.runs.pages import write_page
 from jaxtissue.runs.preparing import Preparation
 from jaxtissue.runs.reports import contact_summary, contacts_of_run, tabulate_cells, write_contacts
 from jaxtissue.runs.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
@@ -145,7 +143,6 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
 
     model, settings = run.annealer.model, run.settings
     connectivity, place = None, run.state.positions
-    is_tube = isinstance(model.domain, Tube)
     say(
         "measuring cells and drawing figures"
         if settings.no_contacts
@@ -182,11 +179,8 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
     news = {"energy": energy, "final": {"sweep": run.state.sweep} | summary}
     run.write_manifest(**news, finished=now() if preparation else None, files=run.checksums(*RESULTS))
     _print_result(run)
-    if is_tube:
-        tissue = TissueRecord(np.asarray(place, float), model.tube, run.names, traced=connectivity)
-        leave_pictures(tissue, run.folder, flat or settings.no_contacts)
-    else:
-        write_page(run.folder)
+    tissue = TissueRecord(np.asarray(place, float), model.domain, run.names, traced=connectivity)
+    leave_pictures(tissue, run.folder, flat or connectivity is None)
 
 
 def _a_few(sweeps: list[int]) -> list[int]:

@@ -64,8 +64,10 @@ def export_tissue(
         Paths of the files and folders that were written. Each is written completely or not at all.
 
     Raises:
-        ValueError: If a format requires a missing package, too much memory, or data that the tissue does not have.
+        ValueError: If a format requires a missing package, too much memory, or data that the tissue does not have, or
+            if the domain is no `Tube`.
     """
+    _ = tissue.tube  # other domains are refused before anything is written
     with alone(folder, what="a run or an export"):
         return [path for name in dict.fromkeys(formats) for path in _export(tissue, folder, name, spacing)]
 

@@ -3,6 +3,7 @@
 Those of one panel draw on the axes `ax` where they are given some, else in a figure of their own.
 """
 
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
@@ -32,6 +33,8 @@ _INK = "#262626"
 _WALL, _NOTHING = (38, 38, 38, 255), (255, 255, 255, 255)  # the same in bytes
 # Without the darkest ends, on which walls and dots would not show.
 _SMALL_TO_LARGE = ListedColormap(mpl.colormaps["RdBu_r"](np.linspace(0.12, 0.88, 256)))
+_PANEL, _SEEN = 4.6, (0.12, 3.0)  # inches that a tube is long; around / length of surfaces drawn to scale
+_TALL = 8  # inches, both surfaces together at most
 _PIXELS = (800, 420)  # of an unrolled surface, along the axis and around it: as many as are shown
 
 
@@ -184,13 +187,16 @@ def plot_surfaces(domain: Tube | Domain, tissues: Sequence[Tissue]) -> tuple[Fig
     """The basal (top) and apical (bottom) surface of tissues, unrolled in one column each (paper, Fig. 9).
 
     Closed surfaces are seen from two sides, in two columns. A cell's color is its volume / the tissue's mean volume;
-    lines are the walls, dots the backbones' ends. The axes come as an array [2, columns].
+    lines are the walls, dots the backbones' ends. Both surfaces of a tube are to scale, unless one would be hardly
+    seen. The axes come as an array [2, columns].
     """
     per_tissue = 1 if unrolls(domain) else 2
     width = 6 if unrolls(domain) else 3.6
-    figure = Figure(figsize=(1 + width * per_tissue * len(tissues), 7), layout="constrained")
-    together = unrolls(domain)
-    axes = figure.subplots(2, per_tissue * len(tissues), sharex=together, sharey=together, squeeze=False)
+    heights, together = _heights(domain), unrolls(domain)
+    tall = 2 + min(_PANEL * sum(heights), _TALL) if heights else 7
+    figure = Figure(figsize=(1 + width * per_tissue * len(tissues), tall), layout="constrained")
+    axes = figure.subplots(2, per_tissue * len(tissues), sharex=together, sharey=together, squeeze=False,
+                           height_ratios=heights)  # fmt: skip
     shades = ScalarMappable(Normalize(0, 2), _SMALL_TO_LARGE)
     for tissue, columns in zip(tissues, np.split(axes, len(tissues), axis=1), strict=True):
         relative = np.asarray(tissue.volume) / np.mean(np.asarray(tissue.volume))
@@ -198,13 +204,16 @@ def plot_surfaces(domain: Tube | Domain, tissues: Sequence[Tissue]) -> tuple[Fig
         for (surface, views), row in zip(maps.items(), columns, strict=True):
             for panel, shown in zip(row, views, strict=True):
                 _draw_map(panel, shown, shades.to_rgba(relative, bytes=True))
+                if heights:  # a degree is as long on the surface as it is drawn
+                    radius = float(getattr(domain, f"{surface}_radius"))
+                    panel.set_aspect(math.radians(radius))
                 told = filter(None, (f"{surface} surface", tissue.title, shown.view))
                 panel.set_title(", ".join(told), fontsize=None if together else "medium")
     across, up = axis_labels(domain)
     for panel in axes[:, 0]:
         panel.set_ylabel(up)
         if up == DEGREES:
-            panel.set_yticks(range(0, 361, 60))
+            panel.set_yticks(range(0, 361, 180 if heights and _PANEL * heights[1] < 1.2 else 60))
     for panel in axes[1]:
         panel.set_xlabel(across)
     dot = Line2D([], [], linestyle="", marker=".", color="black", label="end of a backbone")
@@ -212,6 +221,15 @@ def plot_surfaces(domain: Tube | Domain, tissues: Sequence[Tissue]) -> tuple[Fig
     figure.legend(handles=[dot, wall], loc="outside lower center", ncols=2)
     figure.colorbar(shades, ax=axes, label="cell volume / mean volume", extend="max", shrink=0.8)
     return figure, axes
+
+
+def _heights(domain: Tube | Domain) -> tuple[float, float] | None:
+    """How high the unrolled basal and apical surface of a tube are, as parts of its length, if both are well seen."""
+    if not isinstance(domain, Tube):
+        return None
+    radii = domain.basal_radius, domain.apical_radius
+    basal, apical = (2 * math.pi * float(radius) / float(domain.length) for radius in radii)
+    return (basal, apical) if _SEEN[0] <= apical and basal <= _SEEN[1] else None
 
 
 def _draw_map(panel: Axes, shown: SurfaceMap, colors: UInt8[np.ndarray, "n 4"]) -> None:

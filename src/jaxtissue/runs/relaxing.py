@@ -12,11 +12,9 @@ import numpy as np
 
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domain_positions import column_names
-from jaxtissue.geometry.tube import Tube
 from jaxtissue.minimization.relaxation import RelaxRecord, RelaxResult, relax
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import BackboneTable
-from jaxtissue.runs.pages import write_page
 from jaxtissue.runs.reports import contact_summary, contacts_of_run, tabulate_cells, write_contacts
 from jaxtissue.runs.run_files import RESULTS, initial_backbones, say
 from jaxtissue.runs.run_folders import CELLS, DOMAIN, FIGURES, FILES, INITIAL, MANIFEST, STEPS, SUMMARY, save_tissue
@@ -134,11 +132,8 @@ def _finish(
     write_sealed(folder / MANIFEST, manifest)
     _print_result(settings, result, energy, summary)
     print(f"written to       {folder}")
-    if isinstance(domain, Tube):
-        tissue = TissueRecord(np.asarray(place, float), domain, names, traced=connectivity)
-        leave_pictures(tissue, folder, settings.no_contacts)
-    else:
-        write_page(folder)
+    tissue = TissueRecord(np.asarray(place, float), domain, names, traced=connectivity)
+    leave_pictures(tissue, folder, connectivity is None)
 
 
 def _print_result(

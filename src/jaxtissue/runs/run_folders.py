@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxtissue.exports.tissue_record import TissueRecord
-from jaxtissue.geometry.domain_files import load_tube, save_domain
+from jaxtissue.geometry.domain_files import load_domain, save_domain
 from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
@@ -47,7 +47,7 @@ def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) ->
         The tissue, with the positions after the stored sweeps of a run in `history`.
 
     Raises:
-        ValueError: If the folder contains no tissue, a tissue that is not in a `Tube`, or an unfinished run.
+        ValueError: If the folder contains no tissue or an unfinished run.
     """
     if not folder.is_dir():
         raise ValueError(f"{folder} is not a folder; give a folder written by anneal, relax, measure or fit")
@@ -65,7 +65,7 @@ def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) ->
             history = dict(zip(kept.kept_sweeps.tolist(), kept.kept_positions.astype(float), strict=True))
             history.setdefault(manifest["final"]["sweep"], positions)
     elif (folder / DOMAIN).is_file() and (folder / BACKBONES).is_file():
-        tube = load_tube(folder / DOMAIN)
+        tube = load_domain(folder / DOMAIN)
         positions, names = read_backbones(folder / BACKBONES, tube)
     else:
         raise ValueError(

@@ -9,11 +9,13 @@ import numpy as np
 
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.exports.tissue_record import TissueRecord
+from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.cell_meshes import CellMeshes, mesh_cells
 from jaxtissue.meshes.cuts import segments
 from jaxtissue.meshes.straight_edges import straighten
+from jaxtissue.pictures.domain_outsides import open_domain
 from jaxtissue.pictures.movies import SMALLER, save_movie, turn_round
-from jaxtissue.pictures.outsides import cut_open
+from jaxtissue.pictures.outsides import Face, cut_open
 from jaxtissue.pictures.scenes import draw_bodies, draw_cells, draw_tissue, save, shades
 from jaxtissue.runs import formats
 from jaxtissue.runs.formats import picture_name
@@ -54,8 +56,9 @@ def leave_pictures(tissue: TissueRecord, folder: Path, flat: bool = False) -> No
     write_page(folder)
     if flat:
         return
+    is_tube = isinstance(tissue.domain, Tube)
     for what in formats.LEFT:
-        if what == "scutoid" and not tissue.connectivity.transitions.per_cell.any():
+        if what == "scutoid" and not (is_tube and tissue.connectivity.transitions.per_cell.any()):
             continue
         try:
             view_tissue(tissue, what, folder / picture_name(what))
@@ -91,7 +94,17 @@ def _straight(tissue: TissueRecord, meshes: CellMeshes) -> CellMeshes:
 
 
 def _draw_whole(tissue: TissueRecord, path: Path, cell: int | None) -> None:
-    save(draw_tissue(cut_open(tissue.positions, tissue.tube), _colors(tissue), tissue.unit), path)
+    save(draw_tissue(_outside(tissue), _colors(tissue), _unit(tissue)), path)
+
+
+def _outside(tissue: TissueRecord) -> list[Face]:
+    if isinstance(tissue.domain, Tube):
+        return cut_open(tissue.positions, tissue.domain)
+    return open_domain(tissue.positions, tissue.domain)
+
+
+def _unit(tissue: TissueRecord) -> str:
+    return tissue.unit or ("" if isinstance(tissue.domain, Tube) else "length units")
 
 
 def _draw_bodies(tissue: TissueRecord, path: Path, cell: int | None, apart: float = 0.0) -> None:
@@ -151,7 +164,7 @@ def _draw_movie(tissue: TissueRecord, path: Path, cell: int | None) -> None:
 
 
 def _draw_turntable(tissue: TissueRecord, path: Path, cell: int | None) -> None:
-    plotter = draw_tissue(cut_open(tissue.positions, tissue.tube), _colors(tissue), None)
+    plotter = draw_tissue(_outside(tissue), _colors(tissue), None)
     save_movie(list(turn_round(plotter)), path, _QUICK, SMALLER)
     plotter.close()
 
