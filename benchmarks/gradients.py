@@ -3,7 +3,8 @@
     python benchmarks/gradients.py
 
 For random directions of all backbones: the cosine of the derivatives by `tissue_energy` and by differences, of the
-volume term of the paper's energy and of the sum of all lateral areas. Writes benchmarks/results/gradients.json.
+volume term of the paper's energy and of the sum of all lateral areas. Times of
+"traced" lack the tracing, since edges are kept. Writes benchmarks/results/gradients.json.
 """
 
 import time
@@ -69,5 +70,7 @@ def median_seconds(function: Any, place: jax.Array) -> float:
 if __name__ == "__main__":
     path = common.output((__doc__ or "").split("\n")[0], "gradients")
     jax.config.update("jax_enable_x64", True)
-    rows = [measured(name, size, energy) for name in NAMES for size in ("standard", "fine") for energy in ENERGIES]
+    rows = [
+        measured(name, size, energy) for name in NAMES for size in ("standard", "fine", "traced") for energy in ENERGIES
+    ]
     common.write(path, {"directions": DIRECTIONS, "rows": rows})
