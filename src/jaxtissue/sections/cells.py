@@ -42,6 +42,7 @@ class CellSizes(NamedTuple):
         is_ring: Whether a section reaches round to where it meets itself, [cells].
         is_cut: Whether a section has more edges than slots, or reaches the limit of its chart, [cells].
         section_volume: The volume per height of all cells together, [layers].
+        doubt: By how much the sections may make volume and lateral area be off, [cells] each.
     """
 
     volume: Array
@@ -52,6 +53,7 @@ class CellSizes(NamedTuple):
     is_ring: Bool[Array, " cells"]
     is_cut: Bool[Array, " cells"]
     section_volume: Array
+    doubt: tuple[Array, Array]
 
 
 def plan_layers(count: int, check: bool = True) -> Layers:
@@ -131,6 +133,7 @@ def cell_sizes(domain: Domain, sections: Sections, layers: Layers, candidates: i
         seams,
         others | (sections.spare > 0).any(axis=0),
         sections.volume.sum(axis=-1),
+        (weights[0] @ sections.doubt[0], weights[0] @ sections.doubt[1]),
     )
 
 

@@ -116,21 +116,21 @@ def missing(
 
 def overlaps(
     crowd: Crowd, lists: Int[np.ndarray, "q n"], points: Float[np.ndarray, "p 3"], cells: Int[np.ndarray, " p"]
-) -> Float[np.ndarray, " n"]:
-    """How much nearer points of a cell's rim are to one of its candidates than to its own backbone, at most.
+) -> Float[np.ndarray, " p"]:
+    """How much nearer points of a cell's rim are to one of its candidates than to its own backbone, or 0.
 
     It is 0 to rounding where corners and middles of edges lie on walls of the cell.
     """
     start, along = crowd.pieces()
-    most = np.zeros(crowd.cells)
+    nearer = np.zeros(len(points))
     for first in range(0, len(points), CHUNK):
         point, cell = points[first : first + CHUNK], cells[first : first + CHUNK]
         listed = lists.T[cell]
         others = np.where(listed >= 0, _distance(start[:, listed], along[:, listed], point[:, None]), np.inf).min(
             axis=1
         )
-        np.maximum.at(most, cell, _distance(start[:, cell], along[:, cell], point) - others)
-    return most
+        nearer[first : first + CHUNK] = _distance(start[:, cell], along[:, cell], point) - others
+    return np.maximum(nearer, 0)
 
 
 def extended(lists: Int[np.ndarray, "q n"], pairs: Int[np.ndarray, "m 2"]) -> Int[np.ndarray, "q n"]:

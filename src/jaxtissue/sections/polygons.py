@@ -5,7 +5,7 @@ taken at half the way to it and again at the middle of its edge; lines cut each 
 middle of each edge move onto the true walls.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,19 +15,13 @@ from jaxtissue.compilation.fusion import fusion_barrier
 from jaxtissue.geometry.domains import Domain, Frame
 from jaxtissue.geometry.vectors import Vector, add, area, dot, each, scale, subtract, turned
 from jaxtissue.sections.half_planes import FAR, HalfPlanes, Packed, crossing, cut, deepest, pack, take
+from jaxtissue.sections.rims import beyond, fill, joined, mean, parts
 from jaxtissue.sections.views import Backbones, View, as_half_planes, first_places, gap, limit_planes
 
 SHARP = 0.03  # the sine of the angle of two walls below which their corner stays that of the lines
 STEEP = 0.3  # the least cosine between an edge and its chord
 STRIDE = 0.3  # of the way from the backbone to a corner, or of a chord: points move no farther
 LEAST_SLOPE = 1e-6
-SIMPSON = (1 / 6, 4 / 6, 1 / 6)
-# Rules for the integral of r f(r) from 0 to 1: nodes, weights, and the weight of r = 1; exact to the second degree, and
-# Gauss-Radau, to the fourth
-RAYS = {
-    1: ((0.5,), (1 / 3,), 1 / 6),
-    2: ((0.27639320225002106, 0.7236067977499789), (0.11509828350069877, 0.30156838316596796), 1 / 12),
-}
 
 
 class Rule(NamedTuple):
@@ -60,6 +54,7 @@ class Sections(NamedTuple):
         corner: The point where each edge ends, components [slots, *T].
         middle: The middle of each edge.
         spare: How many edges found no slot, [*T]; 0 or less where all did.
+        doubt: By how much the volume and the area of all walls may be off, per height, [*T] each.
     """
 
     line: Int[Array, "slots *T"]
@@ -72,6 +67,7 @@ class Sections(NamedTuple):
     corner: Vector
     middle: Vector
     spare: Int[Array, "*T"]
+    doubt: tuple[Array, Array]
 
 
 class Edges(NamedTuple):
@@ -116,15 +112,13 @@ def measure_polygons(domain: Domain, view: View, rule: Rule, polygon: Polygon) -
     is_edge = packed.is_edge & (span > 0)
     curve = joined(start, middle, end)
     found = fusion_barrier(lambda: integrands(domain, view, curve, joined(edge, edge, edge)), anchor)
-    wall, length = (
-        jnp.where(
-            is_edge & edge.is_wall, span * sum(s * part for s, part in zip(SIMPSON, parts(size, 3), strict=True)), 0
-        )
-        for size in found[:2]
-    )
-    filled = fusion_barrier(lambda: _fill(domain, view, curve, is_edge, found[2], rule.rays), anchor)
+    wall, length = (jnp.where(is_edge & edge.is_wall, span * mean(size), 0) for size in found[:2])
+    filled = fusion_barrier(lambda: fill(domain, view, curve, is_edge, found[2], rule.rays), anchor)
     _, at_middle, at_end = parts(found[3], 3)
-    return Sections(packed.line, after, is_edge, wall, length, *filled, at_end, at_middle, spare)
+    wide = jnp.where(is_edge, jnp.abs(area(start, end)) / 2, 0)
+    long = jnp.where(is_edge & edge.is_wall, span, 0)
+    doubt = ((wide * beyond(found[2][0])).sum(axis=0), (long * beyond(found[0])).sum(axis=0))
+    return Sections(packed.line, after, is_edge, wall, length, *filled, at_end, at_middle, spare, doubt)
 
 
 def find_polygons(domain: Domain, view: View, rule: Rule) -> Polygon:
@@ -157,15 +151,21 @@ def _cut_out(domain: Domain, view: View, planes: HalfPlanes, rule: Rule) -> Poly
     cuts = cut(planes, anchor)
     packed = fusion_barrier(lambda: pack(cuts.exists, rule.slots), anchor)
     before, after = fusion_barrier(lambda: take((cuts.before, cuts.after), packed.line), anchor)
-    edge = edges_of(planes, view, packed.line, anchor)
-    twice, others = joined(edge, edge), edges_of(planes, view, jnp.concatenate([before, after]), anchor)
-    rough = corners = fusion_barrier(lambda: crossing(twice.plane, others.plane, 1e-5), anchor)
+    edge, other = edges_of(planes, view, packed.line, anchor), edges_of(planes, view, after, anchor)
+    rough = end = fusion_barrier(lambda: crossing(edge.plane, other.plane, 1e-5), anchor)
     for _ in range(rule.steps):
-        corners = fusion_barrier(lambda z=corners: add(z, _to_corner(domain, view, z, twice, others)), anchor)
-    start, end = parts(corners, 2)
+        end = fusion_barrier(lambda z=end: add(z, _to_corner(domain, view, z, edge, other)), anchor)
+
+    def starts() -> Vector:
+        slot, exists = take((packed.slot, cuts.exists), before)
+        follows = exists & (take(after, slot) == packed.line)
+        apart = crossing(edge.plane, take(planes, before), 1e-5)  # from an edge too short to be found
+        return each(lambda a, b: jnp.where(follows, a, b), take(end, slot), apart)
+
+    start = fusion_barrier(starts, anchor)
     point = fusion_barrier(lambda: view.frame(domain, end).point, anchor)
     mine = view.own.offset(point)
-    last = parts(rough, 2)[1], planes, cuts.exists, before, point, dot(mine, mine)
+    last = rough, planes, cuts.exists, before, point, dot(mine, mine)
     return Polygon(packed, edge, start, end, after, cuts.exists.sum(axis=0) - rule.slots, *last)
 
 
@@ -200,16 +200,6 @@ def _refined(domain: Domain, view: View, planes: HalfPlanes, polygon: Polygon) -
 def lines_at(domain: Domain, view: View, z: Vector) -> HalfPlanes:
     """The walls of the rivals as lines, each to first order round its place."""
     return as_half_planes(gap(view.frame(domain, z), view.own, view.rivals), z, view.is_there)
-
-
-def joined(*tables: Any) -> Any:
-    """Tables put one after the other along the slots: what is done to them is compiled once."""
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *tables)
-
-
-def parts(tables: Any, count: int) -> list[Any]:
-    """What `joined` has joined."""
-    return [jax.tree.map(lambda table, k=k: jnp.split(table, count)[k], tables) for k in range(count)]
 
 
 def edges_of(planes: HalfPlanes, view: View, number: Int[Array, "slots *T"], anchor: Array) -> Edges:
@@ -278,23 +268,3 @@ def integrands(domain: Domain, view: View, z: Vector, edge: Edges) -> tuple[Arra
     speed = jnp.sqrt(jnp.where(fit, dot(tangent, tangent), 1))
     volume = jnp.abs(volume)
     return pull * volume / (steep * cosine), speed / cosine, (volume, level), flat.point
-
-
-def _fill(
-    domain: Domain, view: View, curve: Vector, is_edge: Array, rim: tuple[Array, Array], rays: int
-) -> tuple[Array, Array]:
-    """The integrals of the volume and area elements over the sections, each a sum over cones from the backbone."""
-    start, middle, end = parts(curve, 3)
-    whole = area(start, end)
-    swept = (4 * area(start, middle) - whole, area(middle, subtract(end, start)), 4 * area(middle, end) - whole)
-    sweep = jnp.concatenate([jnp.where(is_edge, s * part, 0) for s, part in zip(SIMPSON, swept, strict=True)])
-    nodes, weights, last = RAYS[rays]
-    inner = joined(*(scale(node, curve) for node in nodes))
-    factor = jnp.repeat(jnp.asarray(weights, sweep.dtype), sweep.shape[0]).reshape(-1, 1, 1)
-    sizes = zip(view.frame(domain, inner).elements(), rim, strict=True)
-    volume, level = (
-        jnp.sum(sweep * last * outer, axis=0)
-        + jnp.sum(jnp.concatenate([sweep] * len(nodes)) * factor * jnp.abs(element), axis=0)
-        for element, outer in sizes
-    )
-    return volume, level

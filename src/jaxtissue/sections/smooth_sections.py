@@ -11,7 +11,8 @@ from jaxtyping import Array, Float, Int
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.vectors import Vector, add, area, components, dot, scale, subtract, turned
 from jaxtissue.sections.cells import cell_view
-from jaxtissue.sections.polygons import Rule, Sections, find_polygons, joined, measure_polygons, measure_sections
+from jaxtissue.sections.polygons import Rule, Sections, find_polygons, measure_polygons, measure_sections
+from jaxtissue.sections.rims import joined
 from jaxtissue.sections.views import View
 from jaxtissue.sections.wall_speeds import Slopes, wall_speeds
 

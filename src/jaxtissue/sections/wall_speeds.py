@@ -15,7 +15,8 @@ from jaxtissue.compilation.fusion import fusion_barrier, take_rows
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.vectors import Vector, add, dot, scale, subtract, turned
 from jaxtissue.sections.half_planes import take
-from jaxtissue.sections.polygons import SIMPSON, STEEP, Edges, Polygon, edges_of, integrands, joined, parts, to_wall
+from jaxtissue.sections.polygons import STEEP, Edges, Polygon, edges_of, integrands, to_wall
+from jaxtissue.sections.rims import joined, mean, parts
 from jaxtissue.sections.views import LEAST_SLOPE, Backbones, Segments, View, gap
 
 BLUNT = 0.03  # the sine of the angle of two walls below which their corner slides less than it should
@@ -97,7 +98,7 @@ def wall_speeds(domain: Domain, view: View, polygon: Polygon, lists: Int[Array, 
         return (*full, before, after)
 
     def swept(element: Array) -> tuple[Slopes, ...]:
-        return tuple(tuple(span * _simpson(jnp.abs(element) * side) for side in by) for by in sides)
+        return tuple(tuple(span * mean(jnp.abs(element) * side) for side in by) for by in sides)
 
     wall, length = (by_wall(size, [[rate[k] for rate in by] for by in grown]) for k, size in enumerate(sizes[:2]))
     return Speeds(wall, length, swept(sizes[2][0]), swept(sizes[2][1]), across, before, after)
@@ -110,12 +111,6 @@ def _motions(domain: Domain, place: Vector) -> list[Motion]:
         way = tuple(jnp.ones_like(part) if k == j else jnp.zeros_like(part) for j, part in enumerate(place))
         found.append(Motion(*jax.jvp(domain.surfaces, (place,), (way,))[1]))
     return found
-
-
-def _simpson(size: Array) -> Array:
-    """The mean over an edge."""
-    first, second, third = parts(size, 3)
-    return SIMPSON[0] * first + SIMPSON[1] * second + SIMPSON[2] * third
 
 
 def _closer(segments: Backbones, motion: Motion, point: Vector) -> Array:
@@ -185,7 +180,7 @@ def _growths(
             wall, length = jax.jvp(sizes, (view.own, edge.rivals, z), tangents)[1]
             return jax.lax.complex(wall, length)
 
-        return None, _simpson(fusion_barrier(rate, view.anchor))
+        return None, mean(fusion_barrier(rate, view.anchor))
 
     _, found = jax.lax.scan(turn, None, (stacked, jnp.stack([*sides[0], *sides[1]])))
     rates = [(rate.real, rate.imag) for rate in found]

@@ -16,10 +16,14 @@ from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Resolution, section_layers
 from jaxtissue.neighbors.section_lists import Measured, crowd_of, find_sections
 from jaxtissue.sections.cells import corner_points, plan_layers
-from jaxtissue.sections.crowd import Crowd, overlaps
+from jaxtissue.sections.crowd import overlaps
+from jaxtissue.tissue.refinement import LIMITS, over_limits
 
-SAFETY = 2.0  # errors are this many times the difference of two rules
-OVERLAP = 0.25  # of a cell's walls that may be off, by as much as its rim is nearer to another backbone
+# Told errors cover the true ones in 95 % of the cells of seven tissues of 300 to 500 cells with these
+LAYERS = 0.85  # of the difference of two rules
+EDGES = (0.05, 0.5)  # of what edges may add to volumes and lateral areas, as `sections.rims.beyond` gives it
+OTHERS = 1.5  # medians over the cells, since what a cell shows of its own error is small by chance in some
+FLOOR = (2e-5, 4e-5)  # of the mean cell: corners after a step of Newton's method, and rounding
 DEFECT = 2e-3  # of a layer, by which the sections of all cells may miss it without a warning
 
 
@@ -31,17 +35,7 @@ def measure_domain_tissue(
     layers = plan_layers(section_layers(resolution))
     found = find_sections(domain, place, layers)
     sizes, defect = found.sizes, tiling_defect(domain, found)
-    errors = [None, None]
-    if refine:
-        # of the cell itself; one rule alone does not show its error
-        unknown = jnp.where(sizes.is_cut | (len(sizes.volume) == 1), 1.0, defect)
-        overlap = OVERLAP * jnp.asarray(overlaps(*rims(domain, found)), sizes.volume.dtype)
-        # a wall that is off by so much, and as much of its area as of its length
-        off = overlap * sizes.lateral_area[0], overlap * jnp.sqrt(sizes.lateral_area[0])
-        errors = [
-            SAFETY * jnp.abs(rules[0] - rules[-1]) + unknown * jnp.abs(rules[0]) + more
-            for rules, more in zip((sizes.volume, sizes.lateral_area), off, strict=True)
-        ]
+    errors = told_errors(domain, found, defect) if refine else [None, None]
     on_surfaces = [sizes.areas[0], sizes.areas[1], sizes.perimeters[0], sizes.perimeters[1]]
     cells = CellGeometry(
         sizes.volume[0],
@@ -57,13 +51,40 @@ def measure_domain_tissue(
     return cells
 
 
-def rims(domain: Domain, found: Measured) -> tuple[Crowd, np.ndarray, np.ndarray, np.ndarray]:
-    """The backbones, the lists, the corners and middles of all edges in space, and the cells that they are of."""
-    points, is_point = corner_points(found.sections)
+def told_errors(domain: Domain, found: Measured, defect: float) -> list[Array]:
+    """The errors of volumes and lateral areas that are told: of layers, edges, corners, and as large as the median.
+
+    Of cells that are cut the error is all of the cell, as it is where one rule alone shows nothing.
+    """
+    sizes, told, off = found.sizes, [], misplaced(domain, found)
+    unknown = np.asarray(sizes.is_cut) | (len(sizes.volume) == 1)
+    for which, rules in enumerate((sizes.volume, sizes.lateral_area)):
+        size, coarser = (np.asarray(rules[k], float) for k in (0, -1))
+        edges = EDGES[which] * np.asarray(sizes.doubt[which], float)
+        own = LAYERS * np.abs(size - coarser) + edges + off[which]
+        some = own[~unknown] if not unknown.all() else np.zeros(1)
+        own += OTHERS * np.median(some) + FLOOR[which] * size.mean() + (defect > DEFECT) * defect * size
+        told.append(jnp.asarray(np.where(unknown, own + size, own), rules.dtype))
+    return told
+
+
+def misplaced(domain: Domain, found: Measured) -> tuple[np.ndarray, np.ndarray]:
+    """How much of each cell's volume and lateral area is beyond its walls, as its corners and middles of edges show.
+
+    They are on a wall if they are not nearer to a rival. What a point is beyond counts for the part of its edge round
+    it, and what a corner is beyond for the length of its edge.
+    """
+    sections, weight = found.sections, np.asarray(found.layers.weights, float)[0][:, None]
+    points, is_point = corner_points(sections)
     there = np.asarray(is_point)
     rim = np.stack([np.asarray(part)[there] for part in points], axis=1).astype(float)
     cells = np.broadcast_to(np.arange(len(found.positions)), there.shape)[there]
-    return crowd_of(domain, found.positions), found.lists, rim, cells
+    beyond = np.zeros(there.shape)
+    beyond[there] = overlaps(crowd_of(domain, found.positions), found.lists, rim, cells)
+    wall, length = (np.asarray(size, float) for size in (sections.wall, sections.length))
+    volume = wall * (beyond[0] / 3 + beyond[1] * 2 / 3)
+    area = np.where(length > 0, wall / np.where(length > 0, length, 1), 0) * beyond[0]
+    return (weight * volume.sum(axis=0)).sum(axis=0), (weight * area.sum(axis=0)).sum(axis=0)
 
 
 def tiling_defect(domain: Domain, found: Measured) -> float:
@@ -89,3 +110,5 @@ def section_doubts(cells: CellGeometry, found: Measured) -> Iterator[str]:
     if not defect <= DEFECT:
         told = f"the sections of the {n} cells add up to {100 * defect:.2g} % more or less than a layer of the tissue"
         yield f"{told}: cells are incomplete or overlap; use more cells"
+    for _, told in over_limits(cells, LIMITS):
+        yield f"{told}; use a finer resolution or more cells"
