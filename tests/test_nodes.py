@@ -156,6 +156,7 @@ def test_wrong_tables_are_refused(text, told, tmp_path):
         read_backbones(tmp_path / "b.csv", TUBE, bent=True)
 
 
+@pytest.mark.filterwarnings("ignore:the volume of 3 of 40 cells")
 def test_measure_takes_tilted_backbones(tilted, tmp_path, capsys):
     storage.write_backbones(tmp_path / "t.csv", tilted[0] % [6, 5], columns=SLAB.columns)
     save_domain(SLAB, tmp_path / "slab.json")

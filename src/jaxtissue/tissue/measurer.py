@@ -70,7 +70,8 @@ def measure_tissue(
     area (or `tolerance`) are measured again by tracing the edges of the Voronoi diagram in float64, to a relative error
     of about 1e-5. Tissues of up to 64 cells are always traced completely, and so are all tissues if `tolerance` is
     below 0.01; this takes about 1 ms per cell. On other domains cells are measured as polygons on layers of constant
-    height, and errors come from a second quadrature rule with one layer less.
+    height. Errors there are estimated from a second quadrature rule with one layer less, from the corners and edges of
+    the polygons, and from the median over the cells.
 
     Neighbor lists are built on the host, so this function is not jittable; see `tissue_energy` for a jittable function.
     A warning lists the worst cells if errors above the limits remain, or if the volumes do not add up to the volume of
