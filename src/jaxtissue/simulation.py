@@ -11,13 +11,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Float
 from tqdm import tqdm
 
 from jaxtissue.dynamics.annealer import Annealer
 from jaxtissue.dynamics.schedules import constant_schedule
 from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.energy import Model, tube_model
+from jaxtissue.geometry.array_likes import ArrayLike, PositionsLike
 from jaxtissue.geometry.domain_positions import as_positions_on
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
@@ -75,10 +76,10 @@ class AnnealResult:
 
 
 def anneal(
-    positions: Any,
+    positions: PositionsLike,
     domain: Tube | Domain,
     sweeps: int = 100,
-    temperature: float | Float[ArrayLike, "sweeps"] = 2.0,
+    temperature: ArrayLike = 2.0,
     seed: int = 0,
     resolution: Resolution | str = "draft",
     model: Model | None = None,

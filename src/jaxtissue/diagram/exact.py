@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int64
-from numpy.typing import ArrayLike
 from scipy.spatial import KDTree, Voronoi
 
 from jaxtissue.diagram.facet_moments import Clip, Edges, at, clipped_moments, straight_moments, take
 from jaxtissue.diagram.layer_cuts import measure_layers
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.nodes import domain_of
@@ -66,7 +66,7 @@ class _Facets(NamedTuple):
     edges: Edges  # counterclockwise around n
 
 
-def exact_cells(positions: ArrayLike, domain: Tube | Domain, samples: int = 50) -> ExactDiagram:
+def exact_cells(positions: PositionsLike, domain: Tube | Domain, samples: int = 50) -> ExactDiagram:
     """Measure cells by an independent reference method: a Voronoi diagram of sampled backbones (paper, section 4.1).
 
     Use it to check `measure_tissue`, which is much faster. In a `Tube`, each backbone is replaced by equally spaced
@@ -149,7 +149,7 @@ def _walled(volume: np.ndarray, pairs: np.ndarray, wall_area: np.ndarray) -> Exa
     return ExactDiagram(volume, lateral_area, pairs, wall_area)
 
 
-def _backbones(positions: ArrayLike, half: float, apical: float, basal: float) -> _Backbones:
+def _backbones(positions: Float64[np.ndarray, "n 2"], half: float, apical: float, basal: float) -> _Backbones:
     positions = np.asarray(positions, dtype=np.float64)
     axial, angle = positions.T
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)

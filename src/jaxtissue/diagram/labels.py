@@ -11,11 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float, Int, UInt16
+from jaxtyping import Array, Float, Int, UInt16
 
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.diagram.voxels import cartesian_voxels, image_mask
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.backbones import Backbones
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
@@ -92,9 +93,7 @@ def label_volumes(
 
 
 @usual_modes()
-def label_image(
-    positions: Float[ArrayLike, "n 2"], tube: Tube, spacing: float | Sequence[float]
-) -> UInt16[np.ndarray, "z y x"]:
+def label_image(positions: PositionsLike, tube: Tube, spacing: float | Sequence[float]) -> UInt16[np.ndarray, "z y x"]:
     """Render a tissue as a 3D label image with axes (z, y, x): 0 outside the tissue, cell index + 1 inside.
 
     Each voxel has the label of the cell that contains its center (paper, section 2.1). Voxel [k, j, i] has its center

@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float64, Int32, Int64
+from jaxtyping import Bool, Float64, Int32, Int64
 
+from jaxtissue.geometry.array_likes import ArrayLike, PositionsLike
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.system.cores import in_threads
@@ -57,9 +58,7 @@ class _Boxes(NamedTuple):
     lists: Lists
 
 
-def label_points(
-    points: Float64[ArrayLike, "p 3"], positions: Float64[ArrayLike, "n 2"], tube: Tube
-) -> Int32[np.ndarray, " p"]:
+def label_points(points: ArrayLike, positions: PositionsLike, tube: Tube) -> Int32[np.ndarray, " p"]:
     """Find the cell that contains each point, that is, the cell of the nearest backbone (paper, section 2.1).
 
     The distance is the exact Euclidean distance to the segment, also across the lumen. Ties go to the lower index. Time
@@ -95,7 +94,7 @@ def label_points(
     return labels
 
 
-def stand(positions: ArrayLike, tube: Tube) -> Stand:
+def stand(positions: PositionsLike, tube: Tube) -> Stand:
     """The backbones at (axial, angle) positions. Raises `ValueError` for what `as_positions` refuses."""
     axial, angle = as_positions(positions, tube, np.float64, sizes=False).T
     return Stand(axial, np.cos(angle), np.sin(angle), float(tube.apical_radius), float(tube.basal_radius))

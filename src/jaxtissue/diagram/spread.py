@@ -10,16 +10,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.diagram.point_location import Lists, batches, hand_down, narrow, stand
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 
 
 @usual_modes()
-def separation(positions: Float[ArrayLike, "n 2"], tube: Tube) -> Float[Array, ""]:
+def separation(positions: PositionsLike, tube: Tube) -> Float[Array, ""]:
     """Compute the smallest distance between two backbones (paper, Definition 1).
 
     Radial segments at an angle D to each other are nearest at their apical ends: distance^2 = dx^2 + (2 R_a
@@ -66,7 +67,7 @@ def _separation(positions: Float[Array, "n 2"], tube: Tube) -> Float[Array, ""]:
 
 
 @usual_modes()
-def covering_radius(positions: Float[ArrayLike, "n 2"], tube: Tube, tolerance: float = 4e-4) -> Float[np.ndarray, ""]:
+def covering_radius(positions: PositionsLike, tube: Tube, tolerance: float = 4e-4) -> Float[np.ndarray, ""]:
     """Compute the largest distance from a point of the tissue to its nearest backbone (paper, Definition 1).
 
     The maximum lies on the basal surface, as the distance to a radial backbone does not decrease outward. It is found
@@ -111,7 +112,7 @@ def covering_radius(positions: Float[ArrayLike, "n 2"], tube: Tube, tolerance: f
 
 
 @usual_modes()
-def tightness(positions: Float[ArrayLike, "n 2"], tube: Tube) -> Float[np.ndarray, ""]:
+def tightness(positions: PositionsLike, tube: Tube) -> Float[np.ndarray, ""]:
     """Compute the tightness phi = covering radius / separation of a backbone spread (paper, Definition 1).
 
     Args:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from jaxtissue.compilation.batching import Batch
 from jaxtissue.compilation.modes import usual_modes
@@ -24,6 +24,7 @@ from jaxtissue.dynamics.spans import energy_terms, play, survey_state
 from jaxtissue.dynamics.survey import Tissue, lines_of, survey_together
 from jaxtissue.dynamics.sweep_log import Measured, SweepRecord, least_around, sweep_record
 from jaxtissue.energy import Model, check_energy, check_numbers, in_precision
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domain_positions import as_positions_on
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
@@ -124,7 +125,7 @@ class Annealer:
             self._on_domain = domain_run(self.model, resolution, seed, temperatures)
 
     @usual_modes()
-    def start(self, positions: Float[Array | np.ndarray, "n 2"]) -> AnnealState:
+    def start(self, positions: PositionsLike) -> AnnealState:
         """Return the `AnnealState` before the first sweep. Warns if the precision is too low for the moves.
 
         Args:

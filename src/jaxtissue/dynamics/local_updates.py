@@ -1,6 +1,6 @@
 """The changes of a round of moves: the cells that change, their new sizes, the energy differences, and collisions."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -143,6 +143,7 @@ def count_left(moves: Round, tube: Tube) -> Int[Array, ""]:
     return left.sum(dtype=jnp.int32)
 
 
+@runtime_checkable
 class HasAround(Protocol):
     """Lists of the cells around each cell, [n, around]."""
 

@@ -4,7 +4,7 @@
 Spreads", GRAPP 2025.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from jaxtissue.dynamics.metropolis import Order, SweepInfo, sweep
 from jaxtissue.dynamics.survey import Tissue, lines_of, survey_together
 from jaxtissue.dynamics.sweep_log import shortlist_neighbors
 from jaxtissue.energy import Model, check_energy, check_numbers, in_precision
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution
@@ -51,7 +52,7 @@ class SweepState(NamedTuple):
 
 
 @usual_modes()
-def init(positions: Any, model: Model, resolution: Resolution | str = "draft") -> SweepState:
+def init(positions: PositionsLike, model: Model, resolution: Resolution | str = "draft") -> SweepState:
     """Create the state for `step`: cells measured, neighbor lists built, cells partitioned into independent sets.
 
     Use `init` and `step` to write your own dynamics in JAX; to run a given number of sweeps use `anneal`. `init` runs

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from jaxtissue.dynamics.annealer import Annealer, AnnealState, advance_together, record_together
 from jaxtissue.dynamics.sweep_log import SweepRecord
 from jaxtissue.energy import Model
+from jaxtissue.geometry.array_likes import ArrayLike, PositionsLike
 from jaxtissue.measurement.quadrature import Resolution
 
 Callback = Callable[[Sequence[SweepRecord], Float[np.ndarray, "replicas n d"]], Any]
@@ -45,9 +46,9 @@ class TemperResult:
 
 
 def temper(
-    positions: Any,
+    positions: PositionsLike,
     model: Model,
-    temperatures: Float[ArrayLike, "replicas"],
+    temperatures: ArrayLike,
     sweeps: int = 100,
     seed: int = 0,
     resolution: Resolution | str = "draft",

@@ -1,7 +1,5 @@
 """Checks of positions on any domain: input in any form is converted to one array of floats, or rejected."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +9,7 @@ from numpy.typing import DTypeLike
 from scipy.spatial import KDTree
 
 from jaxtissue.compilation.modes import double_precision, usual_modes
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain, in_doubles
 from jaxtissue.geometry.nodes import ENDS, as_nodes, domain_of, has_nodes, heights_of, node_points
@@ -27,7 +26,7 @@ def column_names(domain: Tube | Domain) -> tuple[str, ...]:
 
 
 def as_positions_on(
-    positions: Any,
+    positions: PositionsLike,
     domain: Tube | Domain,
     dtype: DTypeLike | None = None,
     rows: Rows = BACKBONES,
@@ -52,7 +51,7 @@ def place_columns(positions: Float[np.ndarray, "n d"], domain: Tube | Domain) ->
 
 @usual_modes()
 def as_domain_positions(
-    positions: Any, domain: Domain, dtype: DTypeLike | None = None, rows: Rows = BACKBONES, bent: bool = False
+    positions: PositionsLike, domain: Domain, dtype: DTypeLike | None = None, rows: Rows = BACKBONES, bent: bool = False
 ) -> Float[np.ndarray, "n d"]:
     """Positions on a domain as an array of floats, [n, d], within it: unit vectors normalized, periods taken off.
 

@@ -77,7 +77,7 @@ class Domain(eqx.Module):
         return Frame(point, first, second, upward)
 
     @usual_modes()
-    def embed(self, positions: Float[Array, "n d"]) -> Backbones:
+    def embed(self, positions: Float[Array | np.ndarray, "n d"]) -> Backbones:
         """Convert positions to backbones in Cartesian coordinates: segments from the apical to the basal surface.
 
         Args:
@@ -90,7 +90,7 @@ class Domain(eqx.Module):
         return Backbones(*map(rows, self.surfaces(components(jnp.asarray(positions)))))
 
     @usual_modes()
-    def reflect(self, positions: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    def reflect(self, positions: Float[Array | np.ndarray, "n d"]) -> Float[Array, "n d"]:
         """Map positions back onto the base surface: reflect at free ends, wrap in closed and periodic directions.
 
         Args:

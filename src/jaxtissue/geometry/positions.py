@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import DTypeLike
 from scipy.spatial import KDTree
 
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.tube import Tube
 
 AXES = "axial", "angle"  # on a tube
@@ -55,7 +56,7 @@ BACKBONES = Rows()
 
 
 def as_positions(
-    positions: Any, tube: Tube, dtype: DTypeLike | None = None, rows: Rows = BACKBONES, sizes: bool = True
+    positions: PositionsLike, tube: Tube, dtype: DTypeLike | None = None, rows: Rows = BACKBONES, sizes: bool = True
 ) -> Float[np.ndarray, "n 2"]:
     """Positions as an array of floats, [n, 2], (axial, angle), with the axial position within the tube.
 

@@ -89,7 +89,7 @@ class Tube(eqx.Module):
         return 2 * math.pi * self.basal_radius * self.length
 
     @usual_modes()
-    def embed(self, positions: Float[Array, "n 2"]) -> Backbones:
+    def embed(self, positions: Float[Array | np.ndarray, "n 2"]) -> Backbones:
         """Convert positions to backbones, the radial segments from the apical to the basal surface.
 
         Args:
@@ -110,7 +110,7 @@ class Tube(eqx.Module):
         return Backbones(apical, basal)
 
     @usual_modes()
-    def reflect(self, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+    def reflect(self, positions: Float[Array | np.ndarray, "n 2"]) -> Float[Array, "n 2"]:
         """Map positions back into the tube: reflect axial positions at both ends, and wrap angles to [0, 2 pi).
 
         Positions that are already inside the tube are returned bit for bit. Unlike clipping, reflection keeps the
@@ -153,7 +153,7 @@ class Tube(eqx.Module):
 
 
 @functools.partial(jax.jit, inline=True)
-def _reflect(length: float | Array, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+def _reflect(length: float | Array, positions: Float[Array | np.ndarray, "n 2"]) -> Float[Array, "n 2"]:
     folded = jnp.mod(jnp.abs(positions[:, 0]), 2 * length)
     axial = jnp.where(folded > length, 2 * length - folded, folded)
     turned = jnp.mod(positions[:, 1], 2 * math.pi)

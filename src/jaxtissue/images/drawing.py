@@ -3,9 +3,10 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import Float, Int
 
 from jaxtissue.diagram.point_location import label_points
+from jaxtissue.geometry.array_likes import ArrayLike, PositionsLike
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.images.frame import Frame
 from jaxtissue.images.shapes import FITTERS, INSIDE
@@ -13,7 +14,7 @@ from jaxtissue.images.shapes import FITTERS, INSIDE
 
 def draw_labels(
     domain: Any,
-    positions: Float[ArrayLike, "n k"],
+    positions: PositionsLike,
     labels: Int[np.ndarray, " n"],
     frame: Frame,
     sizes: Float[np.ndarray, "3"],
@@ -43,8 +44,8 @@ def draw_labels(
 
 def draw_turned(
     tube: Tube,
-    positions: Float[ArrayLike, "n 2"],
-    spacing: Float[ArrayLike, "3"],
+    positions: PositionsLike,
+    spacing: ArrayLike,
     axes: Float[np.ndarray, "3 3"],
     margin: float = 2.0,
 ) -> tuple[Int[np.ndarray, "z y x"], Frame]:

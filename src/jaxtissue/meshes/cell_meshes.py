@@ -5,9 +5,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxtissue.diagram.point_location import label_points
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.bisection import Bisection
@@ -80,7 +81,7 @@ class CellMeshes:
 
 
 def mesh_cells(
-    positions: Float[ArrayLike, "n 2"], tube: Tube, tolerance: float = TOLERANCE, chosen: Sequence[int] | None = None
+    positions: PositionsLike, tube: Tube, tolerance: float = TOLERANCE, chosen: Sequence[int] | None = None
 ) -> CellMeshes:
     """Mesh the surfaces of all cells of a tube with triangles, conforming between neighbors (paper, section 2.1).
 

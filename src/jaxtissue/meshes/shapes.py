@@ -1,15 +1,16 @@
 """Shapes of cells from their meshes: what laboratories tabulate beside volumes and areas."""
 
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
+from jaxtissue.geometry.array_likes import ArrayLike
 from jaxtissue.meshes.cell_meshes import CellMeshes
 
 APICAL, BASAL = 0, 1  # the first two of what bounds a tissue
 
 
-def tabulate_shapes(meshes: CellMeshes, upward: Float[ArrayLike, "n 3"]) -> dict[str, Float[np.ndarray, " n"]]:
+def tabulate_shapes(meshes: CellMeshes, upward: ArrayLike) -> dict[str, Float[np.ndarray, " n"]]:
     """Describe the shape of each cell by numbers, measured on its mesh (not in the paper).
 
     Args:

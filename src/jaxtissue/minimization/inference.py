@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.energy import Model, in_precision, tube_model
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.adhesion import Adhesion
@@ -103,7 +104,7 @@ class _Forces:
 
 @usual_modes()
 def infer_parameters(
-    positions: Any,
+    positions: PositionsLike,
     tube: Tube,
     types: Any = None,
     tension: float | None = None,

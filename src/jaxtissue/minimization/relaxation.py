@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.energy import Model, check_energy, check_numbers, in_precision
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domain_positions import as_positions_on
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.quadrature import Resolution
@@ -61,7 +62,7 @@ class RelaxResult:
 
 @usual_modes()
 def relax(
-    positions: Any,
+    positions: PositionsLike,
     model: Model,
     method: str = "lbfgs",
     steps: int = 50,

@@ -10,6 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.positions import AXES, as_positions, as_rows
 from jaxtissue.geometry.tube import Tube
@@ -52,7 +53,7 @@ class NeighborList(eqx.Module):
 
     @staticmethod
     @usual_modes()
-    def allocate(positions: Any, domain: Any, margin: float = 0.0) -> Any:
+    def allocate(positions: PositionsLike, domain: Any, margin: float = 0.0) -> Any:
         """Build the complete neighbor list of a tissue. Runs on the host; not jittable.
 
         Args:
@@ -97,7 +98,7 @@ class NeighborList(eqx.Module):
         return np.asarray(find_check(place, self.domain, np.asarray(self.candidates)).defect < TILES)
 
     @usual_modes()
-    def update(self, positions: Any) -> "NeighborList":
+    def update(self, positions: PositionsLike) -> "NeighborList":
         """Return this list if it is complete for the given positions, or else a new list. On the host; not jittable.
 
         Args:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import sparse
 
@@ -62,14 +62,14 @@ def complete_lists(
 
 
 def find_defect(
-    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, sides: Int[np.ndarray, "n 2 candidates"]
+    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, sides: Int[Array | np.ndarray, "n 2 candidates"]
 ) -> float:
     """`tiling_defect` of arrays at hand, by a program that is compiled soon."""
     return float(find_check(positions, tube, sides).defect)
 
 
 def find_check(
-    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, sides: Int[np.ndarray, "n 2 candidates"]
+    positions: Float[Array | np.ndarray, "n 2"], tube: Tube, sides: Int[Array | np.ndarray, "n 2 candidates"]
 ) -> Check:
     """`check_lists` of arrays at hand, by a program that is compiled soon."""
     found = _checking()(positions, tube, sides, check_angles(tube, len(positions)))
@@ -169,7 +169,7 @@ def spacing_at(gap: T, cosine: T, inner: Any, outer: Any, xp: Any = np) -> T:
 
 
 def contact_graph(
-    sides: Int[np.ndarray, "n 2 candidates"], touched: Bool[ArrayLike, "n 2 candidates"]
+    sides: Int[np.ndarray, "n 2 candidates"], touched: Bool[Array | np.ndarray, "n 2 candidates"]
 ) -> sparse.csr_array:
     """The pairs of cells that bound each other, as a symmetric [n, n] matrix."""
     at = np.flatnonzero(touched)

@@ -1,7 +1,6 @@
 """Neighbor lists on any domain but a tube: the backbones that can bound a cell's sections."""
 
 import warnings
-from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -9,6 +8,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.positions import as_rows
@@ -46,7 +46,7 @@ class SectionNeighbors(eqx.Module):
 
     @staticmethod
     @usual_modes()
-    def allocate(positions: Any, domain: Domain) -> "SectionNeighbors":
+    def allocate(positions: PositionsLike, domain: Domain) -> "SectionNeighbors":
         """Build the complete neighbor list of a tissue. Runs on the host; not jittable.
 
         Args:
@@ -88,7 +88,7 @@ class SectionNeighbors(eqx.Module):
         return not len(pairs) and found.rule == rule
 
     @usual_modes()
-    def update(self, positions: Any) -> "SectionNeighbors":
+    def update(self, positions: PositionsLike) -> "SectionNeighbors":
         """Return this list if it is complete for the given positions, or else a new list. On the host; not jittable.
 
         Args:

@@ -8,9 +8,10 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import Float, Int
 
 from jaxtissue.diagram.point_location import label_points
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.tube import Tube
 
 PIXELS = 800_000  # of all faces together
@@ -45,7 +46,7 @@ class Face(NamedTuple):
         return image
 
 
-def cut_open(positions: Float[ArrayLike, "n 2"], tube: Tube, pixels: int | None = None) -> list[Face]:
+def cut_open(positions: PositionsLike, tube: Tube, pixels: int | None = None) -> list[Face]:
     """The faces of a tube of which a quarter is left out, between the angles `OPEN`, in about so many pixels.
 
     >>> faces = cut_open([[1, 0], [3, 3]], Tube(4, 1, 2), pixels=1000)

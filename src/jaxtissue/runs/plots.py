@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, cast
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import ArrayLike, Float, UInt8
+from jaxtyping import UInt8
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from jaxtissue.geometry.array_likes import ArrayLike
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.runs.surface_maps import DEGREES, SurfaceMap, axis_labels, map_surface, unrolls
@@ -42,8 +43,8 @@ class Tissue(NamedTuple):
     """A tissue to draw: what it is called, its positions, the volumes of its cells, and its maps if they are known."""
 
     title: str
-    positions: Float[ArrayLike, "n d"]
-    volume: Float[ArrayLike, "n"]
+    positions: ArrayLike
+    volume: ArrayLike
     maps: Mapping[str, Sequence[SurfaceMap]] | None = None
 
 
@@ -75,7 +76,7 @@ def read_fonts() -> None:
         FigureCanvasAgg(figure).draw()
 
 
-def map_surfaces(positions: Float[ArrayLike, "n d"], domain: Tube | Domain) -> dict[str, list[SurfaceMap]]:
+def map_surfaces(positions: ArrayLike, domain: Tube | Domain) -> dict[str, list[SurfaceMap]]:
     """The maps of both surfaces of a tissue, as `plot_surfaces` shows them."""
     place = np.asarray(positions)
     return {surface: map_surface(place, domain, surface, _PIXELS) for surface in ("basal", "apical")}
@@ -90,7 +91,7 @@ def _panel(ax: Axes | None) -> tuple[Figure, Axes]:
 
 
 def plot_energy(
-    sweeps: Mapping[str, Float[ArrayLike, "rows"]],
+    sweeps: Mapping[str, ArrayLike],
     checked: tuple[Sequence[int], Sequence[float]] | None = None,
     checked_label: str = "total, measured finely",
     ax: Axes | None = None,
@@ -137,7 +138,7 @@ def plot_relaxation(history: Sequence[Any], ax: Axes | None = None) -> tuple[Fig
 
 
 def plot_volumes(
-    sweeps: Sequence[int | str], volumes: Sequence[Float[ArrayLike, "n"]], mean_volume: float, ax: Axes | None = None
+    sweeps: Sequence[int | str], volumes: Sequence[ArrayLike], mean_volume: float, ax: Axes | None = None
 ) -> tuple[Figure, Axes]:
     """The cells' volumes after the given sweeps, or as named, each sorted, against the mean (paper, Fig. 11)."""
     figure, axes = _panel(ax)

@@ -10,11 +10,12 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from jaxtissue.diagram.exact import exact_cells
 from jaxtissue.diagram.spread import covering_radius, separation
 from jaxtissue.energy import Model, require_finite, tissue_energies
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domain_positions import as_positions_on, place_columns
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
@@ -40,7 +41,7 @@ CONTACT_TABLES = ("contacts.csv", "transitions.csv", "graph.graphml")
 
 
 def tabulate_cells(
-    positions: Float[ArrayLike, "n 2"],
+    positions: PositionsLike,
     model: Model,
     resolution: Resolution | str,
     names: Sequence[str] | None = None,
@@ -120,9 +121,7 @@ def _largest_errors(columns: Mapping[str, np.ndarray]) -> dict[str, float]:
     return largest
 
 
-def contacts_of_run(
-    positions: Float[ArrayLike, "n d"], domain: Tube | Domain, minimum: float = 0.0
-) -> Connectivity | None:
+def contacts_of_run(positions: PositionsLike, domain: Tube | Domain, minimum: float = 0.0) -> Connectivity | None:
     """The contacts of a tissue; none, with a warning, on domains where they can't be found."""
     try:
         return find_connectivity(positions, domain, minimum)
@@ -174,7 +173,7 @@ def printable_columns(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray
 
 
 def compare_presets(
-    positions: Float[ArrayLike, "n d"], domain: Tube | Domain, samples: int
+    positions: PositionsLike, domain: Tube | Domain, samples: int
 ) -> tuple[dict[str, np.ndarray], float]:
     """Errors and warm times of the presets against the exact path, a row each, and the exact path's seconds.
 

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import Float, Int
 
 from jaxtissue.dynamics.annealer import AnnealState
 from jaxtissue.dynamics.sweep_log import SweepRecord
+from jaxtissue.geometry.array_likes import ArrayLike
 from jaxtissue.geometry.nodes import ENDS
 from jaxtissue.runs.names import to_field
 from jaxtissue.system.files import load_arrays, open_own, replacing, save_arrays
@@ -27,7 +28,7 @@ class Checkpoint(NamedTuple):
 
 def write_backbones(
     path: Path,
-    positions: Float[ArrayLike, "n d"],
+    positions: ArrayLike,
     names: Sequence[str] | None = None,
     columns: Sequence[str] = ("axial", "angle"),
 ) -> None:

@@ -5,11 +5,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import Float, Int
 
 from jaxtissue.compilation.modes import double_precision, usual_modes
 from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.diagram.point_location import label_points
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain, in_doubles
 from jaxtissue.geometry.nodes import ends_on
@@ -113,7 +114,7 @@ _embed = jax.jit(lambda domain, place: domain.embed(place))
 
 @usual_modes()
 def label_surface(
-    positions: Float[ArrayLike, "n 2"], tube: Tube, surface: str, shape: tuple[int, int]
+    positions: PositionsLike, tube: Tube, surface: str, shape: tuple[int, int]
 ) -> Int[np.ndarray, "axial angular"]:
     """The cell that holds the center of each pixel of the unrolled `apical` or `basal` surface of a tube.
 

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +9,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxtissue.compilation.modes import double_precision
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.measurement.cell_geometry import CellGeometry
@@ -28,7 +28,7 @@ DEFECT = 2e-3  # of a layer, by which the sections of all cells may miss it with
 
 
 def measure_domain_tissue(
-    positions: Any, domain: Domain, resolution: Resolution | str, surfaces: bool, refine: bool
+    positions: PositionsLike, domain: Domain, resolution: Resolution | str, surfaces: bool, refine: bool
 ) -> CellGeometry:
     """Measure every cell of a tissue on any domain, as `measure_tissue` says."""
     place = as_domain_positions(positions, domain, bent=True)

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 
 from jaxtissue.compilation.fusion import options
 from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.nodes import domain_of
 from jaxtissue.geometry.positions import as_positions
@@ -51,12 +52,10 @@ from jaxtissue.tissue.refinement import (
 )
 from jaxtissue.topology.traced_sizes import trace_sizes
 
-Positions = Float[Array | np.ndarray, "n 2"]
-
 
 @usual_modes()
 def measure_tissue(
-    positions: Positions,
+    positions: PositionsLike,
     domain: Tube | Domain,
     resolution: Resolution | str = "standard",
     surfaces: bool = True,
@@ -188,7 +187,7 @@ class CellMeasurer:
         self._kept: Kept | None = None
 
     @usual_modes()
-    def measure(self, positions: Positions, check: bool = True) -> CellGeometry:
+    def measure(self, positions: PositionsLike, check: bool = True) -> CellGeometry:
         """Measure all cells at the given positions. Not jittable.
 
         Args:
@@ -216,7 +215,7 @@ class CellMeasurer:
         """The current short neighbor list, or None before the first measurement."""
         return self._kept.neighbors if self._kept else None
 
-    def _renew(self, positions: Positions) -> Kept:
+    def _renew(self, positions: Float[np.ndarray, "n 2"]) -> Kept:
         """Find complete lists, measure how far each candidate is from bounding the cell, and keep the nearest."""
         n, tube = len(positions), self.tube
         # as wide on both sides as the mean cell at the apical surface: candidates that level may change sides
@@ -246,7 +245,7 @@ class CellMeasurer:
         return self._kept
 
 
-def _measure(positions: Positions, rest: tuple[Tube, Lines, Array | np.ndarray]) -> CellGeometry:
+def _measure(positions: Float[np.ndarray, "n 2"], rest: tuple[Tube, Lines, Array | np.ndarray]) -> CellGeometry:
     """The sizes of all cells, measured on all devices of this process, an equal share on each."""
     devices, n = tuple(jax.local_devices()), len(positions)
     cells = np.minimum(np.arange(-(-n // len(devices)) * len(devices)), n - 1)  # the last may be one

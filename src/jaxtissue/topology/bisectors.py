@@ -12,8 +12,9 @@ sorted, so that a bound is never the first.
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
+from jaxtissue.geometry.array_likes import ArrayLike
 from jaxtissue.geometry.tube import Tube
 
 BOUNDS = 4

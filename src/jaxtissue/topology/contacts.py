@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.topology.bisectors import BOUNDS
@@ -92,7 +93,7 @@ class Faces(NamedTuple):
 
 
 def find_contacts(
-    positions: Float[ArrayLike, "n 2"],
+    positions: PositionsLike,
     tube: Tube,
     threshold: float = 0.0,
     edges: EdgeGraph | None = None,

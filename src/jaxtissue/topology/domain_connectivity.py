@@ -1,7 +1,7 @@
 """Contacts, transition points and forms of the cells of any domain, found on its layers."""
 
 import warnings
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxtissue.compilation.modes import double_precision, usual_modes
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.geometry.domains import Domain, in_doubles
 from jaxtissue.geometry.vectors import components, dot
@@ -33,7 +34,7 @@ class DomainConnectivity(NamedTuple):
     stretch_anisotropy: Float[np.ndarray, " n"]
 
 
-def connect_domain(positions: Any, domain: Domain, threshold: float) -> DomainConnectivity:
+def connect_domain(positions: PositionsLike, domain: Domain, threshold: float) -> DomainConnectivity:
     """The contacts, transition points and forms of cells on any domain, as `find_connectivity` says."""
     place = as_domain_positions(positions, domain, np.float64)
     gaps = LayerGaps(domain, place)

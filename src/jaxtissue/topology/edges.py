@@ -8,9 +8,10 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.topology.bisectors import BOUNDS, TIE, TINY, TOUCH, Bisectors, ranges
@@ -47,7 +48,7 @@ class EdgeGraph(NamedTuple):
     bisectors: Bisectors  # of the tissue itself, built once for all that is found from its edges
 
 
-def trace_edges(positions: Float[ArrayLike, "n 2"], tube: Tube) -> EdgeGraph:
+def trace_edges(positions: PositionsLike, tube: Tube) -> EdgeGraph:
     """Trace all edges and vertices of the cells of backbones at (axial, angle) positions, [n, 2], in 64 bits.
 
     Every step looks at all backbones near enough to lead; where an end stays open, all is traced again in shorter

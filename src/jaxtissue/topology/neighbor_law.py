@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Float
 from scipy import sparse
 from scipy.special import expit
 
 from jaxtissue.diagram.spread import covering_radius, neighbor_bound, separation, tube_neighbor_bound
+from jaxtissue.geometry.array_likes import ArrayLike, PositionsLike
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.topology.contacts import Contacts
@@ -52,7 +53,7 @@ class NeighborLaw:
     residual: float
     r2: float
 
-    def predict(self, ratios: Float[ArrayLike, "..."]) -> Float[np.ndarray, "..."]:
+    def predict(self, ratios: ArrayLike) -> Float[np.ndarray, "..."]:
         """Compute the mean number of neighbors at given surface ratios.
 
         Args:
@@ -67,7 +68,7 @@ class NeighborLaw:
     __call__ = predict
 
 
-def fit_neighbor_law(ratios: Float[ArrayLike, " k"], neighbors: Float[ArrayLike, " k"]) -> NeighborLaw:
+def fit_neighbor_law(ratios: ArrayLike, neighbors: ArrayLike) -> NeighborLaw:
     """Fit the logistic neighbor law to mean numbers of neighbors by unweighted least squares (paper, Fig. 12).
 
     Args:
@@ -126,7 +127,7 @@ def fit_neighbor_law(ratios: Float[ArrayLike, " k"], neighbors: Float[ArrayLike,
 
 
 def bound_ratios(
-    positions: Float[ArrayLike, "n 2"],
+    positions: PositionsLike,
     tube: Tube,
     connectivity: Connectivity,
     hops: Sequence[int] = (1, 2, 3),

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float
+from jaxtyping import Bool, Float
 
+from jaxtissue.geometry.array_likes import ArrayLike, PositionsLike
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
@@ -55,9 +56,7 @@ class Connectivity:
     stretch_anisotropy: Float[np.ndarray, " n"] | None = None
 
 
-def find_connectivity(
-    positions: Float[ArrayLike, "n d"], domain: Tube | Domain, threshold: float = 0.0
-) -> Connectivity:
+def find_connectivity(positions: PositionsLike, domain: Tube | Domain, threshold: float = 0.0) -> Connectivity:
     """Find which cells share a wall, and where they exchange neighbors between the surfaces (paper, section 4.4).
 
     In a `Tube`, the edges of the Voronoi diagram are traced in float64. They yield contacts, transition points, cells
@@ -178,7 +177,7 @@ def summarize_connectivity(connectivity: Connectivity, inner_only: bool = False)
 
 def polygon_classes(
     connectivity: Connectivity,
-    areas: Float[ArrayLike, " n"],
+    areas: ArrayLike,
     surface: str = "apical",
     inner_only: bool = True,
 ) -> dict[str, np.ndarray]:

@@ -7,10 +7,11 @@ Spreads", GRAPP 2025.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.topology.bisectors import Bisectors
@@ -59,7 +60,7 @@ class CellForms:
 
 
 def find_transitions(
-    positions: Float[ArrayLike, "n 2"],
+    positions: PositionsLike,
     tube: Tube,
     edges: EdgeGraph | None = None,
     faces: Faces | None = None,
@@ -109,7 +110,7 @@ def _of_slivers(graph: EdgeGraph, faces: Faces) -> Bool[np.ndarray, " v"]:
 
 
 def find_forms(
-    positions: Float[ArrayLike, "n 2"],
+    positions: PositionsLike,
     tube: Tube,
     edges: EdgeGraph | None = None,
     faces: Faces | None = None,
