@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import checked  # before anything of the library is imported
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -50,6 +51,14 @@ def keep_compiled(tmp_path_factory, worker_id):
         patch.setenv("PYTHONPYCACHEPREFIX", str(folder / "bytecode"))
         reset_cache()
         yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def check_annotations():
+    """Functions of the library check their arguments and results against their annotations."""
+    checked.CHECKING.append("")
+    yield
+    checked.CHECKING.clear()
 
 
 @pytest.fixture(scope="session", autouse=True)

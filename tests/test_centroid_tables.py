@@ -23,7 +23,7 @@ def positions() -> np.ndarray:
     return np.stack([axial, draw.uniform(0, 2 * np.pi, 40)], axis=-1)
 
 
-def centroids(positions: np.ndarray, radius: float = 6.2) -> np.ndarray:
+def centroids(positions: np.ndarray, radius: float | np.ndarray = 6.2) -> np.ndarray:
     """Points on the backbones, turned and shifted as a tissue in an image is."""
     axial, angle = positions.T
     points = np.stack([axial, radius * np.cos(angle), radius * np.sin(angle)], axis=-1)

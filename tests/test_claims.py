@@ -43,7 +43,7 @@ def runs(start=320_000.0, tightness=3.0):
     sweep, seeds = np.arange(41.0), np.arange(3)
     rows = [(r, a, s) for r in (1.0, 5.0) for a in ("is-mh", "mh") for s in seeds]
     energy = [start * (0.05 + 0.95 * np.exp(-sweep / 5)) * (1 + 0.02 * s) for _, _, s in rows]
-    columns = {name: np.repeat([row[i] for row in rows], len(sweep)) for i, name in
+    columns = {name: np.repeat(np.array([row[i] for row in rows]), len(sweep)) for i, name in
                enumerate(("apical_radius", "algorithm", "seed"))}  # fmt: skip
     columns |= {"sweep": np.tile(sweep, len(rows)), "energy": np.concatenate(energy)}
     return columns | {name: np.full(len(columns["sweep"]), tightness) for name in ("covering_radius", "tightness")}

@@ -36,7 +36,7 @@ def test_a_cyst_relaxes_however_it_is_turned(x64, monkeypatch):
     here, way = energy.renewed(place), np.random.default_rng(0).normal(size=place.shape)
     expected = (energy(place + step * way).energy - energy(place - step * way).energy) / (2 * step)
     # walls' speeds are those of true walls, energies those of two layers
-    assert (here.gradient * way).sum() == pytest.approx(expected, abs=0.1 * np.linalg.norm(here.gradient))
+    assert (here.gradient * way).sum() == pytest.approx(expected, abs=0.1 * float(np.linalg.norm(here.gradient)))
     assert np.abs((here.gradient * place).sum(axis=1)).max() < 1e-9 * np.abs(here.gradient).max()  # length is nothing
 
 

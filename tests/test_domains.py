@@ -4,12 +4,14 @@ import csv
 import json
 import math
 from dataclasses import replace
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import read_reference
+from known import known
 from scipy.spatial import SphericalVoronoi
 
 import jaxtissue as jt
@@ -66,8 +68,8 @@ def errors(measured, exact) -> float:
 )
 def test_volumes_and_areas_are_those_of_closed_forms(domain, sizes):
     found = domain.volume, domain.apical_area, domain.basal_area
-    for size, known in zip(found, sizes, strict=True):
-        assert known is None or size == pytest.approx(known, rel=1e-6)
+    for size, expected in zip(found, sizes, strict=True):
+        assert expected is None or size == pytest.approx(expected, rel=1e-6)
     if isinstance(domain, jt.Fold):  # two whole waves: what one side of the surface gains the other loses
         assert found[0] == pytest.approx(found[1] * 0.5, rel=1e-6)
 
@@ -115,7 +117,7 @@ def test_positions_on_a_sphere_are_refused(positions, told):
 
 def test_what_is_for_tubes_alone_says_so():
     with pytest.raises(ValueError, match="a Sphere is not supported here"):
-        jt.label_points([[1.5, 0, 0]], [[1, 0, 0], [0, 1, 0]], jt.Sphere(1, 2))
+        jt.label_points([[1.5, 0, 0]], [[1, 0, 0], [0, 1, 0]], cast(Any, jt.Sphere(1, 2)))
 
 
 def test_positions_are_wrapped_or_refused_by_direction():
@@ -207,7 +209,8 @@ def test_the_tube_as_a_domain_is_that_of_the_references(name):
     On the thin tube the errors are those of the reference.
     """
     reference = read_reference(name)
-    tube = jt.RoundTube(*(float(getattr(reference.tube, size)) for size in ("length", "apical_radius", "basal_radius")))
+    same = reference.tube
+    tube = jt.RoundTube(float(same.length), float(same.apical_radius), float(same.basal_radius))
     cells = jt.measure_tissue(reference.positions, tube)
     assert errors(cells.volume, reference.data["V"]) < 1e-3
     assert errors(cells.lateral_area, reference.data["lateral"]) < 3e-3
@@ -231,7 +234,7 @@ def test_cells_turn_with_the_tissue():
 
 def test_rims_that_reach_beyond_walls_are_told():
     """Two upright backbones at x = 0 and 1: the wall is x = 1/2."""
-    both, none = np.array([0.0, 1.0]), np.zeros(2)
+    both, none = jnp.array([0.0, 1.0]), jnp.zeros(2)
     crowd = Crowd(Segments((both, none, none), (none, none, none + 1)), 2)
     points = np.array([[0.5, 0, 0.3], [0.6, 0, 0.3], [0.5, 0, 0.9]])
     np.testing.assert_allclose(
@@ -245,7 +248,7 @@ def test_few_cells_on_a_sphere_are_doubted():
     sphere = jt.Sphere(1, 1.5)
     with pytest.warns(UserWarning, match="use more cells"):
         cells = jt.measure_tissue([[1, 0, 0], [-1, 0.1, 0]], sphere)
-    assert float(cells.tiling_defect) > 0.1 and (cells.volume_error >= cells.volume).all()
+    assert float(known(cells.tiling_defect)) > 0.1 and (known(cells.volume_error) >= cells.volume).all()
 
 
 def test_the_energy_is_that_of_the_cells_and_differentiable(x64, monkeypatch):

@@ -69,7 +69,7 @@ def infer(tissue, monkeypatch):
 def test_parameters_are_found_at_a_minimum(tissue, infer):
     found = infer(tissue.minimum(np.zeros(CELLS)))
     assert found.tension == pytest.approx(TENSION, rel=1e-4) and found.tension_error < 1e-3
-    np.testing.assert_allclose(found.target_volumes, [MEAN])
+    np.testing.assert_allclose(found.target_volumes, float(MEAN))
     types = np.arange(CELLS) % 3
     targets = MEAN + np.array([2.0, -1.0, 0.0])
     targets -= targets[types].mean() - MEAN

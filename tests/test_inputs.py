@@ -52,16 +52,17 @@ KINDS: dict[str, Any] = {dtype: FLOATS.astype(dtype) for dtype in WHOLE_DTYPES +
     "frame": Frame(axial=AXIAL, angle=ANGLE),
     "frame the other way round": Frame(name=np.arange(6), angle=ANGLE, axial=AXIAL.astype(int)),
     "frame in capitals": Frame(**{"Angle ": ANGLE, "AXIAL": AXIAL}),
-    "structured": np.rec.fromarrays([ANGLE, AXIAL], names="angle,axial"),
+    "structured": np.rec.fromarrays([ANGLE, AXIAL], [("angle", ANGLE.dtype), ("axial", AXIAL.dtype)]),
     "dictionary": {"angle": ANGLE.tolist(), "axial": AXIAL.tolist()},
 }
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "jax", "jax whole", "bfloat16", "read-only"])
 def test_positions_of_any_kind_are_floats(kind):
+    fixed = FLOATS.copy()
+    fixed.flags.writeable = False
     others = {"jax": jnp.asarray(FLOATS), "jax whole": jnp.asarray(WHOLE)}
-    others |= {"bfloat16": jnp.asarray(WHOLE, jnp.bfloat16), "read-only": FLOATS.copy()}
-    others["read-only"].flags.writeable = False
+    others |= {"bfloat16": jnp.asarray(WHOLE, jnp.bfloat16), "read-only": fixed}
     given = (KINDS | others)[kind]
     for dtype in (np.float32, np.float64):
         place = as_positions(given, TUBE, dtype)

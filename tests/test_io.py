@@ -4,6 +4,7 @@ import errno
 import json
 import math
 import os
+from typing import Any
 
 import numpy as np
 import pytest
@@ -200,7 +201,7 @@ def write_records(path, count):
     numbers = np.random.default_rng(2).random(count)
     with path.open("w", newline="") as file:
         for sweep, number in enumerate(numbers):
-            values = dict.fromkeys(SweepRecord._fields, float(number)) | {"sweep": sweep, "rounds": 3}
+            values: dict[str, Any] = dict.fromkeys(SweepRecord._fields, float(number)) | {"sweep": sweep, "rounds": 3}
             storage.write_sweep(file, SweepRecord(**values))
     return numbers
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import read_reference
+from known import known
 
 import jaxtissue as jt
 from jaxtissue.topology import domain_connectivity
@@ -25,8 +26,8 @@ def test_a_tube_has_what_tracing_finds(name):
         positions = np.random.default_rng(3).uniform([0, 0], [20, 2 * math.pi], (80, 2))
     else:
         tube, positions = read_reference(name).tube, read_reference(name).positions
-    sizes = (float(getattr(tube, size)) for size in ("length", "apical_radius", "basal_radius"))
-    traced, found = jt.find_connectivity(positions, tube), jt.find_connectivity(positions, jt.RoundTube(*sizes))
+    same = jt.RoundTube(float(tube.length), float(tube.apical_radius), float(tube.basal_radius))
+    traced, found = jt.find_connectivity(positions, tube), jt.find_connectivity(positions, same)
     first, second = traced.contacts, found.contacts
     np.testing.assert_array_equal(second.pairs, first.pairs)
     np.testing.assert_array_equal(second.kind, first.kind)
@@ -36,7 +37,7 @@ def test_a_tube_has_what_tracing_finds(name):
     np.testing.assert_allclose(second.area, first.area, atol=5e-3 * first.area.mean())
     assert first.area_error is None
     assert (np.abs(second.area - first.area) <= second.area_error + 1e-6 * first.area.mean()).mean() > 0.98
-    assert second.area_error.max() < 0.02 * first.area.mean()
+    assert known(second.area_error).max() < 0.02 * first.area.mean()
     np.testing.assert_allclose(second.apical_length, first.apical_length, atol=1e-3)
     np.testing.assert_array_equal(found.is_end, traced.is_end)
     orders = [np.lexsort((t.points[:, 0], *t.cells.T)) for t in (traced.transitions, found.transitions)]
@@ -44,8 +45,8 @@ def test_a_tube_has_what_tracing_finds(name):
     np.testing.assert_allclose(found.transitions.points[orders[1]], traced.transitions.points[orders[0]], atol=1e-9)
     radius = np.hypot(*found.transitions.points[:, 1:].T)
     ends = float(tube.apical_radius), float(tube.basal_radius)
-    np.testing.assert_allclose(found.transitions.height, (radius - ends[0]) / (ends[1] - ends[0]), atol=1e-9)
-    np.testing.assert_allclose(found.stretch_anisotropy, ends[1] / ends[0], rtol=1e-9)
+    np.testing.assert_allclose(known(found.transitions.height), (radius - ends[0]) / (ends[1] - ends[0]), atol=1e-9)
+    np.testing.assert_allclose(known(found.stretch_anisotropy), ends[1] / ends[0], rtol=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:the areas of .* walls may be wrong")
@@ -85,7 +86,7 @@ def test_spheres_and_slabs_have_no_scutoids(domain, n, degree):
     assert not len(found.transitions.points) and not found.is_end.any()
     assert found.contacts.degree().mean() == pytest.approx(degree, abs=1e-12)
     assert set(found.contacts.kind) == {"apical_basal"}
-    np.testing.assert_allclose(found.stretch_anisotropy, 1, rtol=1e-9)
+    np.testing.assert_allclose(known(found.stretch_anisotropy), 1, rtol=1e-9)
     if isinstance(domain, jt.Sphere):  # walls between great circles are flat: l (R_b^2 - R_a^2) / 2
         contacts = found.contacts
         np.testing.assert_allclose(contacts.area, contacts.apical_length * (1.5**2 - 1) / 2, rtol=1e-9)

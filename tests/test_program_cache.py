@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import forget_programs
@@ -34,11 +35,11 @@ def run(cells: int = 5, tension: float = 0.4) -> tuple[np.ndarray, int]:
     """Energies by a program of its own process, as it were; how often anything was traced for it."""
     forget_programs()
     model = tube_model(Tube(10.0, 1.0, 2.0), cells, tension=tension)
-    sizes = CellGeometry(np.linspace(1, 2, cells), np.linspace(5, 7, cells))
+    sizes = CellGeometry(jnp.linspace(1, 2, cells), jnp.linspace(5, 7, cells))
     traced: list[str] = []
 
-    def note(name: str, *_: float, **__: str) -> None:
-        traced.extend([name] * ("trace" in name))
+    def note(event: str, *_: float | str, **__: str | int) -> None:
+        traced.extend([event] * ("trace" in event))
 
     jax.monitoring.register_event_duration_secs_listener(note)
     try:

@@ -102,8 +102,8 @@ def test_pictures_of_cells_name_their_axes(edges, monkeypatch):
     assert rendered(figure) and "degrees" in axes[2].get_xlabel()
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert "transition point" in labels and len(labels) == len(set(kinds.values())) + 2
-    pair = tuple(int(cell) for cell in contacts.pairs[0])
-    figure, axes = plot_internal_pair(TUBE, POSITIONS, pair, 4.0, edges)
+    first, second = contacts.pairs[0].tolist()
+    figure, axes = plot_internal_pair(TUBE, POSITIONS, (first, second), 4.0, edges)
     assert rendered(figure) and all("tube units" in panel.get_xlabel() for panel in axes[:3])
 
 

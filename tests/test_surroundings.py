@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import quick
@@ -35,7 +36,7 @@ STRICT = {
 NO_HOME = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "JAX_COMPILATION_CACHE_DIR"), "")
 
 
-def start(command: list[str | bytes], place: Path | None = None, **environment: str) -> subprocess.Popen[bytes]:
+def start(command: Sequence[str | bytes], place: Path | None = None, /, **environment: str) -> subprocess.Popen[bytes]:
     """Start a command in a place and other surroundings; an empty variable is left out of the environment."""
     path = os.pathsep.join([str(Path(jaxtissue.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
     told = os.environ | {"PYTHONPATH": path} | environment

@@ -8,7 +8,7 @@ import pytest
 
 import jaxtissue as jt
 from jaxtissue.dynamics.annealer import advance_together
-from jaxtissue.dynamics.tempering import exchange_chance
+from jaxtissue.dynamics.tempering import TemperResult, exchange_chance
 
 TUBE, CELLS, SWEEPS = jt.Tube(length=4.0, apical_radius=1.0, basal_radius=3.0), 6, 60
 TEMPERATURES = [2.0, 4.0, 8.0]
@@ -35,7 +35,7 @@ def start() -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def tempered(start) -> tuple:
+def tempered(start) -> TemperResult:
     """A run, and the energies that were exchanged in it."""
     return jt.temper(start, jt.tube_model(TUBE, CELLS), TEMPERATURES, sweeps=SWEEPS, seed=1)
 
@@ -49,7 +49,7 @@ def mean_and_error(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def test_tempering_finds_the_energies_of_single_chains(start, tempered):
     model = jt.tube_model(TUBE, CELLS)
     runs = [jt.Annealer(model, "draft", "mh", 9 + k, np.full(SWEEPS, heat)) for k, heat in enumerate(TEMPERATURES)]
-    states, energies = [run.start(start) for run in runs], [np.zeros(3)]
+    states, energies = [run.start(start) for run in runs], [(0.0,) * 3]
     while states[0].sweep < SWEEPS:
         played = advance_together(runs, states)
         states = [state for state, _, _ in played]

@@ -122,7 +122,7 @@ def test_backbones_stand_radially(dtype):
     positions = TUBE.random_positions(jax.random.key(0), 50)
     backbones = TUBE.embed(positions)
     assert positions.dtype == backbones.apical.dtype == backbones.basal.dtype == dtype
-    rounding = 10 * jnp.finfo(dtype).eps
+    rounding = 10 * float(jnp.finfo(dtype).eps)
     for ends, radius in [(backbones.apical, 1), (backbones.basal, 10)]:
         np.testing.assert_array_equal(ends[:, 0], positions[:, 0])
         np.testing.assert_allclose(jnp.hypot(ends[:, 1], ends[:, 2]), radius, rtol=rounding)

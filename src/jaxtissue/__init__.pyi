@@ -59,4 +59,5 @@ from .topology.statistics import (
 )
 from .topology.transitions import find_transitions as find_transitions
 
+__all__: list[str]
 __version__: str

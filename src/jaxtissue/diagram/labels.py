@@ -69,7 +69,7 @@ def nearest_backbones(
 
 @usual_modes()
 def label_volumes(
-    labels: Int[Array, "p"], weights: Float[Array, "p"], count_cells: int
+    labels: Int[Array | np.ndarray, "p"], weights: Float[Array | np.ndarray, "p"], count_cells: int
 ) -> Float[Array, "{count_cells}"]:
     """Estimate the volume of each cell from labeled samples: V_i = sum of the weights of the samples with label i.
 

@@ -112,7 +112,7 @@ def covering_radius(positions: PositionsLike, tube: Tube, tolerance: float = 4e-
 
 
 @usual_modes()
-def tightness(positions: PositionsLike, tube: Tube) -> Float[np.ndarray, ""]:
+def tightness(positions: PositionsLike, tube: Tube) -> np.floating | Float[np.ndarray, ""]:
     """Compute the tightness phi = covering radius / separation of a backbone spread (paper, Definition 1).
 
     Args:

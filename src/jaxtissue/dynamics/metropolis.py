@@ -90,7 +90,7 @@ def propose(draws: Float[Array, "2 n"], place: BackboneCoords, model: Model) -> 
     return backbone_coords(model.tube.reflect(jnp.stack([axial, angle], axis=-1)))
 
 
-def move_bound(model: Model, cells: int) -> float | Float[Array, ""]:
+def move_bound(model: Model, cells: int) -> float | np.floating | Float[Array, ""]:
     """Longest move on the apical surface, 0.25 sqrt(A / (pi n)), on a tube 0.25 sqrt(2 R_a L / n)."""
     if not isinstance(model.domain, Tube):
         return longest_move(model.domain, cells)

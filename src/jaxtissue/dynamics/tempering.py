@@ -104,7 +104,8 @@ def temper(
         raise ValueError(f"temperatures={temperatures} is invalid; give at least two, above 0 and increasing")
     if sweeps < 0 or not 0 <= seed < 2**32:
         raise ValueError(f"sweeps={sweeps}, seed={seed}: give at least 0 sweeps, and a seed from 0 to 2^32 - 1")
-    starts = positions if np.ndim(positions) == 3 else [positions] * len(heat)
+    given: Any = positions
+    starts = list(given) if np.ndim(given) == 3 else [given] * len(heat)
     if len(starts) != len(heat):
         raise ValueError(
             f"{len(starts)} initial tissues for {len(heat)} temperatures; give one, or one per temperature"
@@ -130,7 +131,7 @@ def temper(
     return TemperResult(heat, positions, np.array(energies), np.stack(origins), swaps)
 
 
-def exchange_chance(energies: Sequence[float], temperatures: Sequence[float]) -> float:
+def exchange_chance(energies: Sequence[float] | np.ndarray, temperatures: Sequence[float] | np.ndarray) -> float:
     """The probability that two replicas exchange their tissues, min(1, exp((1/T_i - 1/T_j) (E_i - E_j))).
 
     >>> exchange_chance([3.0, 2.0], [1.0, 2.0]), round(exchange_chance([2.0, 3.0], [1.0, 2.0]), 4)

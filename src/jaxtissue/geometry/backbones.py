@@ -6,9 +6,12 @@ Backbone Spreads", GRAPP 2025 ("the paper").
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxtissue.compilation.modes import usual_modes
+
+Point = Float[Array | np.ndarray, "3"]
 
 
 class Backbones(eqx.Module):
@@ -24,7 +27,7 @@ class Backbones(eqx.Module):
 
 
 @usual_modes()
-def distance_to_segment(point: Float[Array, "3"], start: Float[Array, "3"], end: Float[Array, "3"]) -> Float[Array, ""]:
+def distance_to_segment(point: Point, start: Point, end: Point) -> Float[Array, ""]:
     """The distance from a point to a segment, min over 0 <= u <= 1 of |point - start - u (end - start)|.
 
     A segment of length zero is a point. Lift the function with `jax.vmap` for many points or segments.
@@ -42,9 +45,7 @@ def distance_to_segment(point: Float[Array, "3"], start: Float[Array, "3"], end:
 
 
 @usual_modes()
-def distance_between_segments(
-    start_a: Float[Array, "3"], end_a: Float[Array, "3"], start_b: Float[Array, "3"], end_b: Float[Array, "3"]
-) -> Float[Array, ""]:
+def distance_between_segments(start_a: Point, end_a: Point, start_b: Point, end_b: Point) -> Float[Array, ""]:
     """The smallest distance between two segments, also where they are parallel, cross or are single points.
 
     It is found between an end of one segment and the other segment, or between the feet of the common perpendicular of

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.energy import Model, cell_energies, check_numbers
+from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.positions import as_rows
@@ -31,7 +32,7 @@ HALF = 0.5  # of a cell, by which the mean volume may differ from that of a doma
 
 @usual_modes()
 def tissue_energy(
-    positions: Float[Array, "n d"], model: Model, neighbors: Any, resolution: Resolution | str = "standard"
+    positions: PositionsLike, model: Model, neighbors: Any, resolution: Resolution | str = "standard"
 ) -> Float[Array, ""]:
     """Compute the energy of a tissue, E = sum of E_i, as a differentiable pure function (paper, section 3.1).
 
@@ -78,18 +79,18 @@ def tissue_energy(
         raise TypeError(
             f"neighbors of type {given} do not match a {kind}; use NeighborList.allocate(positions, domain)"
         )
-    positions = as_rows(positions, column_names(model.domain), len(neighbors))
-    check_numbers(model, len(positions), HALF)
+    place = jnp.asarray(as_rows(positions, column_names(model.domain), len(neighbors)))
+    check_numbers(model, len(place), HALF)
     if resolution == TRACED:
-        return traced_energy(jnp.asarray(positions), model)
+        return traced_energy(place, model)
     if isinstance(model.domain, Domain):
         layers = plan_layers(section_layers(resolution), check=False)
-        return energy_on_sections(positions, model, layers, neighbors)
+        return energy_on_sections(place, model, layers, neighbors)
     tube, resolution = model.tube, as_resolution(resolution)
     is_traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tube))
     plan = trace_lines if is_traced else plan_lines
-    lines = plan(tube, len(positions), resolution, surfaces=model.has_surfaces)
-    return energy_on_lines(positions, model, lines, neighbors.candidates)
+    lines = plan(tube, len(place), resolution, surfaces=model.has_surfaces)
+    return energy_on_lines(place, model, lines, neighbors.candidates)
 
 
 def energy_on_lines(
