@@ -13,12 +13,13 @@ from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from types import CodeType
 from typing import Any
 
-from beartype import beartype
+from beartype import BeartypeConf, beartype
 from jaxtyping import jaxtyped
 
 PACKAGE = "jaxtissue."
 CALLS = 30  # of each function that are checked: a check takes 0.1 ms, and kinds of arguments are few
-CHECKING: list[str] = []  # who asks for checks
+CHECKING: set[str] = set()  # the test modules that ask for checks
+TYPECHECKER = beartype(conf=BeartypeConf(is_pep484_tower=True))  # a whole number is a float
 
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -31,7 +32,7 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
         if not CHECKING or calls == CALLS:
             return function(*args, **options)
         if not calls:
-            check = jaxtyped(function, typechecker=beartype)
+            check = jaxtyped(function, typechecker=TYPECHECKER)
         calls += 1
         return check(*args, **options)
 

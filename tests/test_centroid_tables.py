@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from known import known
 from scipy.spatial.transform import Rotation
 
 from jaxtissue.cli.commands import main
@@ -97,9 +98,9 @@ def test_centroids_on_layers_tell_the_tube_too(tmp_path, positions):
     path = write_layers(tmp_path / "cells.csv", layers(positions)[5:])
     with pytest.warns(UserWarning, match="centroids, not backbones"):
         found, names = read_backbones(path, TUBE)
-    order = [names.index(f"c{cell}") for cell in range(40)]
+    order = [known(names).index(f"c{cell}") for cell in range(40)]
     np.testing.assert_allclose(found[order], positions, atol=1e-9)  # both ends are equally far from the last ones
-    tube = find_tube(path)
+    tube = known(find_tube(path))
     assert (tube.apical_radius, tube.basal_radius) == (4, 8)
     assert tube.length == pytest.approx(30, abs=4)  # half a cell, about 2.4 long, beyond the last ones
     path.write_text("id,axial,angle\n1,2,3\n")

@@ -64,7 +64,7 @@ GOOD = "axial,angle\n1,0\n5,2\n9,4\n"
 @pytest.fixture(autouse=True)
 def restore_precision():
     """What --x64 switches on ends with the test."""
-    before = jax.config.read("jax_enable_x64")
+    before = jax.numpy.result_type(float) == np.float64
     yield
     jax.config.update("jax_enable_x64", before)
 

@@ -98,7 +98,7 @@ def test_ome_zarr_is_the_same_image(folder, tissue):
     """By the schema of OME-Zarr 0.5, and read by TensorStore, which shares no code with zarr."""
     path = folder / "labels.ome.zarr"
     yaozarrs.validate_zarr_store(str(path))
-    about = yaozarrs.open_group(str(path)).ome_metadata()
+    about: Any = yaozarrs.open_group(str(path)).ome_metadata()  # by the schema of the file
     assert about.version == "0.5" and [color.label_value for color in about.image_label.colors] == list(range(1, 17))
     (image,) = about.multiscales
     assert [(axis.name, axis.unit) for axis in image.axes] == [(axis, "micrometer") for axis in "zyx"]
@@ -111,7 +111,7 @@ def test_ome_zarr_is_the_same_image(folder, tissue):
     np.testing.assert_array_equal(half.read().result(), tiff[::2, ::2, ::2])
     assert whole.domain.labels == ("z", "y", "x")
     for step, copy in zip((1, 2), image.datasets, strict=True):
-        scale, moved = copy.coordinateTransformations
+        scale, moved = cast(Any, copy.coordinateTransformations)
         assert scale.scale == [step * side for side in SPACING]
         # the image is centered on the axis, and begins at the end of the tube: the first center is half a voxel in
         expected = [SPACING[0] * (1 - tiff.shape[0]) / 2, SPACING[1] * (1 - tiff.shape[1]) / 2, SPACING[2] / 2]

@@ -182,7 +182,7 @@ def test_a_turntable_shows_the_tissue_from_all_round(tissue, tmp_path, ending):
         assert np.abs(shown[7].astype(int) - frames[1]).mean() < 10
     else:
         with Image.open(tmp_path / "turn.gif") as movie:
-            assert movie.n_frames == 3 and movie.size == (120, 80)
+            assert getattr(movie, "n_frames", 1) == 3 and movie.size == (120, 80)
 
 
 def test_other_domains_are_opened_and_drawn(tmp_path, capsys):

@@ -38,7 +38,7 @@ def run(cells: int = 5, tension: float = 0.4) -> tuple[np.ndarray, int]:
     sizes = CellGeometry(jnp.linspace(1, 2, cells), jnp.linspace(5, 7, cells))
     traced: list[str] = []
 
-    def note(event: str, *_: float | str, **__: str | int) -> None:
+    def note(event: str, duration_secs: float, **_: str | int) -> None:
         traced.extend([event] * ("trace" in event))
 
     jax.monitoring.register_event_duration_secs_listener(note)

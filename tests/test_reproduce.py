@@ -133,9 +133,11 @@ def test_what_another_version_kept_is_computed_anew(store, monkeypatch, tmp_path
     asked = []
     monkeypatch.setattr(experiments, "anneal_history", lambda a, seed: asked.append(seed) or made_up(a, seed))
     annealing = TINY.annealing(5.0)
-    store.histories(annealing, [0]), store.row("one", lambda: {"value": 1})
+    store.histories(annealing, [0])
+    store.row("one", lambda: {"value": 1})
     monkeypatch.setattr(experiments, "FORMAT", experiments.FORMAT + 1)
-    store.histories(annealing, [0, 1]), store.histories(annealing, [0])
+    store.histories(annealing, [0, 1])
+    store.histories(annealing, [0])
     assert asked == [0, 0, 1] and store.row("one", lambda: {"value": 2})["value"] == 2
     for text in ("{", '{"format": 9, "row": {"value": 3}}'):
         (store.folder / "one.json").write_text(text)
