@@ -1,6 +1,7 @@
 """Moves and sweeps on domains other than the tube."""
 
 from dataclasses import asdict
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -122,7 +123,7 @@ def test_ways_back() -> None:
 def test_settings_of_a_run_on_a_domain() -> None:
     settings = Settings(domain={"shape": "sphere", "apical_radius": 1, "basal_radius": 2}, cells=CELLS)
     assert settings.place == jt.Sphere(1.0, 2.0)
-    assert settings.annealer(1).model.domain == jt.Sphere(1.0, 2.0)
+    assert float(cast(jt.Sphere, settings.annealer(1).model.domain).basal_radius) == 2
     assert saved_settings({"format": FORMAT, "arguments": asdict(settings)}, {}, "here") == settings
     with pytest.raises(ValueError, match="is a Sphere, but only a tube"):
         _ = settings.tube
