@@ -1,6 +1,7 @@
 """Langevin moves: in detailed balance, right in the mean, and within the tube."""
 
 import itertools
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -22,7 +23,7 @@ class Wells:
 
 def test_moves_are_in_detailed_balance():
     """Of all pairs among some places: what flows one way flows back, with drifts that are cut off and that are not."""
-    chain = Chain(Wells(), np.array([[0.5, 1.0]]), 0.7, 0.4, 0, (0.0, 1.0))
+    chain = Chain(cast(Any, Wells()), np.array([[0.5, 1.0]]), 0.7, 0.4, 0, (0.0, 1.0))
     places = [chain.energy.renewed(np.array([[u, v]])) for u in (0.1, 0.8) for v in (-3.0, -0.5, 0.2, 1.5)]
     drifts = np.array([np.abs(chain.drift(here)).max() for here in places])
     assert (drifts == 2 * chain.step).any() and (drifts < 2 * chain.step).any()
@@ -37,7 +38,7 @@ def test_moves_are_in_detailed_balance():
 
 def test_means_are_those_of_the_boltzmann_distribution():
     heat = 0.7
-    chain = Chain(Wells(), np.array([[0.5, 1.0]]), heat, 0.3, 1, (0.0, 1.0))
+    chain = Chain(cast(Any, Wells()), np.array([[0.5, 1.0]]), heat, 0.3, 1, (0.0, 1.0))
     for k in range(200):
         chain.adjust(k)
     found = []

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 import imageio_ffmpeg
 import jax
@@ -205,7 +206,8 @@ def test_other_domains_are_opened_and_drawn(tmp_path, capsys):
     slab = open_domain(np.array([[1.0, 1.0], [3.0, 1.0]]), Slab(4, 2, 1), 1000)
     assert len(slab) == 6 and all(set(np.unique(face.cells)) <= {0, 1} for face in slab)
     contacts = SimpleNamespace(pairs=np.concatenate([face.pairs() for face in faces]))
-    view_tissue(TissueRecord(places, cyst, traced=SimpleNamespace(contacts=contacts)), "tissue", tmp_path / "cyst.png")
+    traced: Any = SimpleNamespace(contacts=contacts)
+    view_tissue(TissueRecord(places, cyst, traced=traced), "tissue", tmp_path / "cyst.png")
     assert imread(tmp_path / "cyst.png").std() > 0.1
     save_tissue(tmp_path, cyst, BackboneTable(places, None))
     for command in (["export", str(tmp_path), "--to", "vtu", "--out", str(tmp_path / "out")],
