@@ -214,8 +214,8 @@ def test_the_tube_as_a_domain_is_that_of_the_references(name):
     cells = jt.measure_tissue(reference.positions, tube)
     assert errors(cells.volume, reference.data["V"]) < 1e-3
     assert errors(cells.lateral_area, reference.data["lateral"]) < 3e-3
-    for size, known in (("volume", "V"), ("lateral_area", "lateral")) if name == "paper_Ra5" else ():
-        off = np.abs(np.asarray(getattr(cells, size), float) - reference.data[known])
+    for size, column in (("volume", "V"), ("lateral_area", "lateral")) if name == "paper_Ra5" else ():
+        off = np.abs(np.asarray(getattr(cells, size), float) - reference.data[column])
         told = np.asarray(getattr(cells, f"{size}_error"), float)
         assert (off <= told).mean() > 0.95
         assert np.median(told) < 8 * np.median(off)  # measured 5.5 times
