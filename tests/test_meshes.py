@@ -6,6 +6,7 @@ import pytest
 import trimesh
 from known import known
 
+import jaxtissue as jt
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.cell_meshes import CellMeshes, mesh_cells
@@ -137,3 +138,33 @@ def test_a_cell_that_fills_the_tube_stands_upright():
     # the centers of half circles are at 2 r / pi; polygons of 64 sides are within 1e-3
     np.testing.assert_allclose(shapes["height"], 2 / np.pi, rtol=1e-3)
     np.testing.assert_allclose(shapes["tilt"], 0, atol=1)
+
+
+DOMAINS = {
+    "slab": jt.Slab(4, 3, 1),
+    "periodic slab": jt.Slab(4, 3, 1, periodic=(True, True)),
+    "sphere": jt.Sphere(2, 3),
+}
+
+
+@pytest.mark.parametrize("name", DOMAINS)
+def test_cells_of_every_domain_are_closed_and_as_large_as_the_exact_path_s(name):
+    domain, count = DOMAINS[name], 12
+    place = np.asarray(domain.random_positions(jax.random.key(2), count), float)
+    meshes = mesh_cells(place, domain, 1e-3)
+    volume = meshes.volumes()
+    # flat faces in place of curved surfaces
+    assert volume.sum() == pytest.approx(domain.volume, rel=1e-12 if "slab" in name else 1e-3)
+    exact = jt.exact_cells(place, domain, 10).volume
+    assert np.abs(volume - exact).max() < 0.03 * exact.mean()  # measured 0.003 to 0.015
+    assert meshes.is_closed(np.ones(count, bool))
+    for cell in range(count):
+        body = solid(meshes, cell)
+        assert body.volume == pytest.approx(volume[cell], rel=1e-9)  # as trimesh computes it
+        assert body.is_watertight or "periodic" in name  # pieces of one cell may meet in an edge there
+    outer = meshes.sides.max(axis=1) - count
+    assert set(outer[outer >= 0]) == set(range({"sphere": 2}.get(name, 6)))
+    areas = [np.linalg.norm(meshes.normals()[outer == side], axis=1).sum() for side in (0, 1)]
+    assert areas == pytest.approx([domain.apical_area, domain.basal_area], rel=3e-3)
+    some = mesh_cells(place, domain, 1e-3, [3])
+    assert some.volumes()[3] == pytest.approx(volume[3], rel=0.02)

@@ -43,7 +43,7 @@ def test_energy_shows_the_total_and_its_terms():
         np.testing.assert_array_equal(lines[label].get_ydata(), SWEEPS[column])
     assert np.asarray(lines["total, measured finely"].get_ydata()).tolist() == [99.0, 21.0]
     assert len({(line.get_color(), line.get_linestyle()) for line in axes.lines}) == 4
-    assert axes.get_xlabel() == "sweep" and "tube units" in axes.get_ylabel()
+    assert axes.get_xlabel() == "sweep" and "model units" in axes.get_ylabel()
     assert len(known(axes.get_legend()).get_texts()) == 4
     assert rendered(figure).std() > 0
 
@@ -68,7 +68,7 @@ def test_volumes_are_sorted_and_set_against_the_mean():
     assert np.asarray(last.get_ydata()).tolist() == [1.9, 2.0, 2.1]
     assert [line.get_label() for line in axes.lines] == ["sweep 0", "sweep 5", "mean 2"]
     assert np.asarray(mean.get_ydata()).tolist() == [2.0, 2.0]
-    assert "tube units³" in axes.get_ylabel() and "smallest to the largest" in axes.get_xlabel()
+    assert "length units³" in axes.get_ylabel() and "smallest to the largest" in axes.get_xlabel()
     assert rendered(figure).std() > 0
 
 
@@ -97,7 +97,7 @@ def test_surfaces_are_mapped_before_and_after():
         assert (image.get_array()[..., :3] == 38).all(axis=-1).any()  # walls
         x, y = panel.lines[0].get_data()
         np.testing.assert_allclose(np.stack([x, np.radians(y)], axis=-1), POSITIONS, rtol=1e-6)
-    assert "angle (degrees)" in axes[0, 0].get_ylabel() and "tube units" in axes[1, 0].get_xlabel()
+    assert "angle (degrees)" in axes[0, 0].get_ylabel() and "length units" in axes[1, 0].get_xlabel()
     assert [texts.get_text() for texts in figure.legends[0].get_texts()] == ["end of a backbone", "wall"]
     assert "mean volume" in figure.axes[-1].get_ylabel()
     assert rendered(figure).std() > 0

@@ -30,7 +30,7 @@ def tables(tissue: TissueRecord) -> dict[str, dict[str, np.ndarray]]:
 def write_parquet(tissue: TissueRecord, folder: Path) -> list[Path]:
     """Write cells.parquet, contacts.parquet and transitions.parquet, with length unit and domain as metadata."""
     pyarrow, parquet = (optional(name, "io", "the format parquet") for name in ("pyarrow", "pyarrow.parquet"))
-    about = {"unit": tissue.unit, "domain": json.dumps(domain_values(tissue.tube))}
+    about = {"unit": tissue.unit, "domain": json.dumps(domain_values(tissue.domain))}
     for name, columns in tables(tissue).items():
         table = pyarrow.table({key: _plain(column) for key, column in columns.items()})
         parquet.write_table(table.replace_schema_metadata(about), folder / f"{name}.parquet")
@@ -62,7 +62,7 @@ def write_anndata(tissue: TissueRecord, folder: Path) -> list[Path]:
     shape = contacts.cells, contacts.cells
     data.obsp["contact_area"] = sparse.csr_array((np.tile(contacts.area, 2), ends), shape=shape)
     data.obsp["connectivities"] = sparse.csr_array((np.ones(2 * len(first)), ends), shape=shape)
-    data.uns["domain"], data.uns["unit"] = domain_values(tissue.tube), tissue.unit
+    data.uns["domain"], data.uns["unit"] = domain_values(tissue.domain), tissue.unit
     path = folder / "cells.h5ad"
     data.write_h5ad(path)
     return [path]

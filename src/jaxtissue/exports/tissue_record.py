@@ -1,12 +1,14 @@
 """A tissue with everything that can be exported or drawn, computed on first access."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxtissue.geometry.domain_positions import column_names, ends_in_space
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.cell_meshes import TOLERANCE, CellMeshes, mesh_cells
@@ -21,32 +23,33 @@ _SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimet
 class TissueRecord:
     """Tissue with its contacts, meshes and table of cells, each computed on first access.
 
-    On domains other than `Tube` only the contacts are available; `tube` raises `ValueError` there.
-
     Attributes:
         positions: Positions of the backbones, shape [n, d]; in a tube axial position and angle in radians.
         domain: The tube or other domain.
         names: Names of the cells, or None.
         unit: Unit of length, such as "um"; empty if unknown.
-        history: Positions after some sweeps of a run, shape [n, 2], by number of the sweep.
+        history: Positions after some sweeps of a run, shape [n, d], by number of the sweep.
         tolerance: Tolerance of the meshes; see `mesh_cells`.
         traced: Result of an earlier `find_connectivity`, or None.
+        measure: Function that measures the cells of a domain other than `Tube` for `columns`, such as `measure_tissue`.
+            Defaults to None: `columns` then has the volumes of the meshes, without areas and perimeters.
     """
 
     positions: Float[np.ndarray, "n d"]
     domain: Tube | Domain
     names: Sequence[str] | None = None
     unit: str = ""
-    history: Mapping[int, Float[np.ndarray, "n 2"]] = field(default_factory=dict)
+    history: Mapping[int, Float[np.ndarray, "n d"]] = field(default_factory=dict)
     tolerance: float = TOLERANCE
     traced: Connectivity | None = None
+    measure: Callable[..., Any] | None = None
 
     @property
     def tube(self) -> Tube:
         """The tube. Raises `ValueError` where the domain is another."""
         if not isinstance(self.domain, Tube):
-            told = f"a {type(self.domain).__name__} has no meshes of cells yet"
-            raise ValueError(f"{told}; draw it with: jaxtissue view RUN --what tissue, or give a tube")
+            told = f"label images are drawn of tubes only, and this is a {type(self.domain).__name__}"
+            raise ValueError(f"{told}; export it --to vtu, ply, stl or glb")
         return self.domain
 
     @cached_property
@@ -57,32 +60,31 @@ class TissueRecord:
     @cached_property
     def meshes(self) -> CellMeshes:
         """Triangle meshes of the surfaces of the cells."""
-        return mesh_cells(self.positions, self.tube, self.tolerance)
+        return mesh_cells(self.positions, self.domain, self.tolerance)
 
     @cached_property
     def ends(self) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
         """Apical and basal end points of the backbones, each of shape [n, 3]."""
-        axial, angle = np.asarray(self.positions, float).T
-        radii = float(self.tube.apical_radius), float(self.tube.basal_radius)
-        first, second = (np.stack([axial, r * np.cos(angle), r * np.sin(angle)], axis=1) for r in radii)
-        return first, second
+        return ends_in_space(self.positions, self.domain)
 
     @cached_property
     def columns(self) -> dict[str, np.ndarray]:
         """Table of the cells: positions, geometry, neighbors, shape descriptors, and names if there are any."""
-        axial, angle = np.asarray(self.positions, float).T
         apical, basal = self.ends
-        columns = {"cell": np.arange(len(axial)), "axial": axial, "angle": angle}
+        columns = {"cell": np.arange(len(apical))}
+        columns |= dict(zip(column_names(self.domain), np.asarray(self.positions, float).T, strict=True))
         columns |= dict(zip("xyz", (apical + basal).T / 2, strict=True))
-        sizes = self.connectivity.sizes
+        sizes: Any = self.connectivity.sizes
+        if self.measure and isinstance(self.domain, Domain):
+            sizes = self.measure(self.positions, self.domain)
         if sizes is not None:
-            columns |= {name: getattr(sizes, name) for name in _SIZES}
+            columns |= {name: np.asarray(getattr(sizes, name), float) for name in _SIZES}
         else:
             columns |= {"volume": self.meshes.volumes()}
         columns |= {"is_end": self.connectivity.is_end} | tabulate_connectivity(self.connectivity)
         columns |= tabulate_shapes(self.meshes, basal - apical) | tabulate_walls(self.connectivity.contacts)
         if sizes is not None:
-            columns["surface_ratio"] = ratio(sizes.basal_area, sizes.apical_area)
+            columns["surface_ratio"] = ratio(columns["basal_area"], columns["apical_area"])
         return columns | ({"name": np.array(self.names, dtype=object)} if self.names else {})
 
 

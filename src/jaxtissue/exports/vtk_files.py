@@ -85,7 +85,7 @@ def write_series(tissue: TissueRecord, folder: Path) -> list[Path]:
     top = ElementTree.Element("VTKFile", type="Collection", version="0.1")
     collection = ElementTree.SubElement(top, "Collection")
     for sweep, positions in sorted(tissue.history.items()):
-        meshes = mesh_cells(positions, tissue.tube, COARSE)
+        meshes = mesh_cells(positions, tissue.domain, COARSE)
         name = f"run/cells-{sweep:06d}.vtu"
         closed_cells(pyvista, meshes, {"volume": meshes.volumes()}).save(folder / name)
         ElementTree.SubElement(collection, "DataSet", timestep=str(sweep), part="0", file=name)

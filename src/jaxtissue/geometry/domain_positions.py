@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 
 from jaxtissue.compilation.modes import double_precision, usual_modes
 from jaxtissue.geometry.array_likes import PositionsLike
+from jaxtissue.geometry.backbones import Backbones
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain, in_doubles
 from jaxtissue.geometry.nodes import ENDS, as_nodes, domain_of, has_nodes, heights_of, node_points
@@ -38,6 +39,15 @@ def as_positions_on(
     if isinstance(domain, Domain):
         return as_domain_positions(positions, domain, dtype, rows, bent)
     return as_positions(positions, domain, dtype, rows, sizes)
+
+
+def ends_in_space(
+    positions: Float[np.ndarray, "n d"], domain: Tube | Domain
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """The apical and basal ends of straight backbones in Cartesian coordinates, in float64; on the host."""
+    with usual_modes(), double_precision():
+        ends = _embed_ends(in_doubles(domain), jnp.asarray(np.asarray(positions, float)))
+    return np.asarray(ends.apical), np.asarray(ends.basal)
 
 
 def place_columns(positions: Float[np.ndarray, "n d"], domain: Tube | Domain) -> dict[str, np.ndarray]:
@@ -164,3 +174,8 @@ def _embed(domain: Domain, positions: jax.Array) -> jax.Array:
 @jax.jit
 def _embed_nodes(domain: Domain, positions: jax.Array) -> jax.Array:
     return jnp.swapaxes(as_rows(node_points(as_nodes(positions, domain), domain)), 0, 1)
+
+
+@jax.jit
+def _embed_ends(domain: Tube | Domain, positions: jax.Array) -> Backbones:
+    return domain.embed(positions)

@@ -8,6 +8,7 @@ steps: the simplices then keep to a few shapes, and what is asked for in one pla
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxtissue.meshes.domain_grid import Prisms
 from jaxtissue.meshes.grid import Grid
 
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
@@ -23,10 +24,10 @@ def edge_keys(ends: Int[np.ndarray, "*m 2"], total: int = TOTAL) -> Int[np.ndarr
 class Bisection:
     """The tetrahedra and surface triangles of a grid, which are made finer together."""
 
-    def __init__(self, grid: Grid, first_bound: int) -> None:
+    def __init__(self, grid: Grid | Prisms, first_bound: int) -> None:
         self.nodes, self.tetrahedra = grid.nodes, grid.tetrahedra()
         self.surfaces = {first_bound + bound: triangles for bound, triangles in grid.surfaces().items()}
-        self._places, self._turns = grid.places(), np.where(grid.closed, grid.shape, 0)
+        self._places, self._turns = grid.places(), grid.turns
 
     def keep(self, near: Bool[np.ndarray, " p"]) -> None:
         """Keep only what has one of these nodes."""

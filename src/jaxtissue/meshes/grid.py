@@ -22,6 +22,11 @@ class Grid(NamedTuple):
     closed: tuple[bool, bool, bool]
     bounds: tuple[tuple[int, int] | None, ...]  # at the low and the high end of each axis
 
+    @property
+    def turns(self) -> Int[np.ndarray, "3"]:
+        """The steps after which each axis comes back to its beginning; 0 where it does not."""
+        return np.where(self.closed, self.shape, 0)
+
     def places(self) -> Float[np.ndarray, "nodes 3"]:
         """The steps of each node along the axes."""
         return np.stack(np.unravel_index(np.arange(len(self.nodes)), self.shape), axis=1).astype(float)

@@ -188,7 +188,7 @@ def _look(
     bar = middle + (sink.min() - 0.04 * np.ptp(sink)) * above + near.max() * front
     ends = bar - length / 2 * ALONG, bar + length / 2 * ALONG
     text, below = (
-        f"{length:g} {unit or ('tube unit' if length == 1 else 'tube units')}",
+        f"{length:g} {unit or ('length unit' if length == 1 else 'length units')}",
         max(np.ptp(sink), 1.5 * about),
     )
     if unit is not None:

@@ -65,9 +65,10 @@ def export_tissue(
 
     Raises:
         ValueError: If a format requires a missing package, too much memory, or data that the tissue does not have, or
-            if the domain is no `Tube`.
+            if a label image of a domain other than `Tube` is asked for.
     """
-    _ = tissue.tube  # other domains are refused before anything is written
+    if set(IMAGES) & set(formats):
+        _ = tissue.tube  # other domains are refused before anything is written
     with alone(folder, what="a run or an export"):
         return [path for name in dict.fromkeys(formats) for path in _export(tissue, folder, name, spacing)]
 

@@ -113,7 +113,7 @@ def plot_energy(
         axes.plot(*checked, "o", color="black", markerfacecolor="white", label=checked_label)
     if np.asarray(sweeps["energy"]).min() > 0:
         axes.set_yscale("log", nonpositive="mask")
-    axes.set(xlabel="sweep", ylabel="energy (tube units)", title="Energy of the tissue")
+    axes.set(xlabel="sweep", ylabel="energy (model units)", title="Energy of the tissue")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     axes.grid(which="both", color="0.9")
     axes.legend()
@@ -127,7 +127,7 @@ def plot_relaxation(history: Sequence[Any], ax: Axes | None = None) -> tuple[Fig
     (energy,) = axes.plot(number, [record.energy for record in history], ".-", color=_BLUE, label="energy")
     right = axes.twinx()
     (slope,) = right.plot(number, [record.gradient for record in history], ".--", color=_ORANGE, label="gradient")
-    axes.set(xlabel="evaluations of the energy and its gradient", ylabel="energy (tube units)", title="Relaxation")
+    axes.set(xlabel="evaluations of the energy and its gradient", ylabel="energy (model units)", title="Relaxation")
     right.set_ylabel("norm of the gradient (energy per length)")
     for panel, values in ((axes, energy.get_ydata()), (right, slope.get_ydata())):
         if np.min(values) > 0:
@@ -149,7 +149,7 @@ def plot_volumes(
         label = sweep if isinstance(sweep, str) else f"sweep {sweep}"
         axes.plot(np.arange(1, len(ordered) + 1), ordered, marker=marker, color=color, label=label)
     axes.axhline(mean_volume, color="black", linestyle=":", label=f"mean {mean_volume:.3g}")
-    axes.set(xlabel="cells, from the smallest to the largest", ylabel="cell volume (tube units³)")
+    axes.set(xlabel="cells, from the smallest to the largest", ylabel="cell volume (length units³)")
     axes.set_title("Volumes of the cells")
     axes.set_ylim(bottom=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
@@ -176,7 +176,7 @@ def plot_grid(table: Mapping[str, ArrayLike], axes: Sequence[str], ax: Axes | No
         means = [energy[own & (across == place)].mean() for place in places]
         panel.plot(places, means, color=color, label=label)
         panel.plot(across[own], energy[own], ".", color=color)
-    panel.set(xlabel=varied[0].replace("_", " "), ylabel="energy per cell (tube units)")
+    panel.set(xlabel=varied[0].replace("_", " "), ylabel="energy per cell (model units)")
     panel.set_title("Energy after the last sweep")
     panel.grid(color="0.9")
     if len(varied) > 1:

@@ -16,6 +16,7 @@ from jaxtissue.runs.formats import VIEWED, picture_name
 from jaxtissue.runs.reports import CONTACT_TABLES
 from jaxtissue.runs.settings import Settings
 from jaxtissue.system.files import read_sealed
+from jaxtissue.tissue.measurer import measure_tissue
 
 DOMAIN, BACKBONES, MANIFEST, CHECKPOINT = "domain.json", "backbones.csv", "manifest.json", "checkpoint.npz"
 INITIAL, SWEEPS, CELLS, SUMMARY = "initial_backbones.csv", "sweeps.csv", "cells.csv", "summary.json"
@@ -52,23 +53,24 @@ def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) ->
     if not folder.is_dir():
         raise ValueError(f"{folder} is not a folder; give a folder written by anneal, relax, measure or fit")
     history: dict[int, np.ndarray] = {}
-    if (folder / MANIFEST).is_file() and not (folder / DOMAIN).is_file():
+    is_run = (folder / CHECKPOINT).is_file() or not (folder / DOMAIN).is_file()
+    if is_run and (folder / MANIFEST).is_file():
         manifest = read_sealed(folder / MANIFEST, "write it again with jaxtissue anneal --resume --finish")
         if not (folder / BACKBONES).is_file():
             raise ValueError(
                 f"the run in {folder} is not finished; continue it with: jaxtissue anneal --out {folder} --resume"
             )
-        tube = Settings(**manifest["arguments"]).tube
-        positions, names = read_backbones(folder / BACKBONES, tube)
+        domain = Settings(**manifest["arguments"]).place
+        positions, names = read_backbones(folder / BACKBONES, domain)
         if (folder / CHECKPOINT).is_file():
             kept = storage.load_checkpoint(folder / CHECKPOINT)
             history = dict(zip(kept.kept_sweeps.tolist(), kept.kept_positions.astype(float), strict=True))
             history.setdefault(manifest["final"]["sweep"], positions)
     elif (folder / DOMAIN).is_file() and (folder / BACKBONES).is_file():
-        tube = load_domain(folder / DOMAIN)
-        positions, names = read_backbones(folder / BACKBONES, tube)
+        domain = load_domain(folder / DOMAIN)
+        positions, names = read_backbones(folder / BACKBONES, domain)
     else:
         raise ValueError(
             f"{folder} contains no {BACKBONES} with {DOMAIN} or {MANIFEST}; give the folder of a run or a fit"
         )
-    return TissueRecord(positions, tube, names, unit, history, tolerance or TOLERANCE)
+    return TissueRecord(positions, domain, names, unit, history, tolerance or TOLERANCE, measure=measure_tissue)

@@ -2,23 +2,22 @@
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtissue.compilation.modes import double_precision, usual_modes
+from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.base_surfaces import Rectangle
-from jaxtissue.geometry.domains import Domain, in_doubles
+from jaxtissue.geometry.domain_positions import ends_in_space
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.nodes import ends_on
 from jaxtissue.geometry.tube import Tube
 
 DEGREES = "angle (degrees)"
 _TURN = 180 / np.pi
-_NAMES = {"axial": "axial position (tube units)", "angle": DEGREES}
+_NAMES = {"axial": "axial position (length units)", "angle": DEGREES}
 
 
 class SurfaceMap(NamedTuple):
@@ -104,12 +103,7 @@ def _labels(place: np.ndarray, domain: Domain, surface: str, grid: Float[np.ndar
 
 
 def _embedded(domain: Domain, surface: str, place: Float[np.ndarray, "p d"]) -> Float[np.ndarray, "p 3"]:
-    with usual_modes(), double_precision():
-        ends = _embed(in_doubles(domain), jnp.asarray(place))
-    return np.asarray(ends.apical if surface == "apical" else ends.basal)
-
-
-_embed = jax.jit(lambda domain, place: domain.embed(place))
+    return ends_in_space(place, domain)[0 if surface == "apical" else 1]
 
 
 @usual_modes()

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -56,9 +57,8 @@ def leave_pictures(tissue: TissueRecord, folder: Path, flat: bool = False) -> No
     write_page(folder)
     if flat:
         return
-    is_tube = isinstance(tissue.domain, Tube)
     for what in formats.LEFT:
-        if what == "scutoid" and not (is_tube and tissue.connectivity.transitions.per_cell.any()):
+        if what == "scutoid" and not tissue.connectivity.transitions.per_cell.any():
             continue
         try:
             view_tissue(tissue, what, folder / picture_name(what))
@@ -76,7 +76,9 @@ def find_scutoid(tissue: TissueRecord) -> int:
     good = good if len(good) else np.flatnonzero(count > 0)
     if not len(good):
         raise ValueError("no cell of the tissue is a scutoid; use --what cell")
-    aside = np.abs(np.asarray(tissue.positions)[good, 0] / float(tissue.tube.length) - 0.5)
+    aside = np.zeros(len(good))
+    if isinstance(tissue.domain, Tube):
+        aside = np.abs(np.asarray(tissue.positions)[good, 0] / float(tissue.domain.length) - 0.5)
     return int(good[np.argmin(np.maximum(count[good], 2) + aside)])
 
 
@@ -85,26 +87,24 @@ def _colors(tissue: TissueRecord) -> np.ndarray:
 
 
 def _mesh(tissue: TissueRecord, *cells: int) -> CellMeshes:
-    return _straight(tissue, mesh_cells(tissue.positions, tissue.tube, CLOSELY, cells))
+    return _straight(tissue, mesh_cells(tissue.positions, tissue.domain, CLOSELY, cells))
 
 
 def _straight(tissue: TissueRecord, meshes: CellMeshes) -> CellMeshes:
-    label = partial(label_points, positions=tissue.positions, tube=tissue.tube)
+    if not isinstance(tissue.domain, Tube):  # where cells are large on a curved surface, vertices would leave it
+        return meshes
+    label = partial(label_points, positions=tissue.positions, tube=tissue.domain)
     return straighten(meshes, segments(*tissue.ends), label)
 
 
 def _draw_whole(tissue: TissueRecord, path: Path, cell: int | None) -> None:
-    save(draw_tissue(_outside(tissue), _colors(tissue), _unit(tissue)), path)
+    save(draw_tissue(_outside(tissue), _colors(tissue), tissue.unit), path)
 
 
 def _outside(tissue: TissueRecord) -> list[Face]:
     if isinstance(tissue.domain, Tube):
         return cut_open(tissue.positions, tissue.domain)
     return open_domain(tissue.positions, tissue.domain)
-
-
-def _unit(tissue: TissueRecord) -> str:
-    return tissue.unit or ("" if isinstance(tissue.domain, Tube) else "length units")
 
 
 def _draw_bodies(tissue: TissueRecord, path: Path, cell: int | None, apart: float = 0.0) -> None:
@@ -148,7 +148,7 @@ def _draw_internal(tissue: TissueRecord, path: Path, cell: int | None) -> None:
 
 def _draw_surfaces(tissue: TissueRecord, path: Path, cell: int | None) -> None:
     shown = Tissue("unrolled", tissue.positions, tissue.columns["volume"])
-    save_figure(path, partial(plot_surfaces, tissue.tube, [shown]))
+    save_figure(path, partial(plot_surfaces, tissue.domain, [shown]))
 
 
 def _draw_movie(tissue: TissueRecord, path: Path, cell: int | None) -> None:
@@ -157,7 +157,7 @@ def _draw_movie(tissue: TissueRecord, path: Path, cell: int | None) -> None:
         raise ValueError("a movie needs the stored sweeps of a run of jaxtissue anneal; use --what tissue")
     colors, frames = _colors(tissue), []
     for _, positions in sorted(tissue.history.items()):
-        plotter = draw_tissue(cut_open(positions, tissue.tube), colors, tissue.unit)
+        plotter = draw_tissue(_outside(replace(tissue, positions=positions)), colors, tissue.unit)
         frames.append(plotter.screenshot(return_img=True))
         plotter.close()
     save_movie(frames, path, _SECONDS)
