@@ -295,7 +295,7 @@ def test_a_cyst_is_exported_and_drawn(tmp_path):
     exact = jt.exact_cells(place, domain, 10)
     np.testing.assert_allclose([float(row["volume"]) for row in rows], exact.volume, rtol=5e-3)
     assert [float(row["nx"]) for row in rows] == pytest.approx(place[:, 0].tolist())
-    bodies = [trimesh.load(path) for path in sorted((tmp_path / "out" / "ply").iterdir())]
+    bodies = [trimesh.load_mesh(path) for path in sorted((tmp_path / "out" / "ply").iterdir())]
     np.testing.assert_allclose([body.volume for body in bodies], exact.volume, rtol=2e-2)
     grid = pyvista.read(tmp_path / "out" / "cells.vtu")
     assert grid.n_cells > 26 and set(np.unique(grid.cell_data["cell"])) == set(range(26))
