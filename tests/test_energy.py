@@ -170,8 +170,9 @@ def test_acceptance_is_doubted_once_and_after_enough_moves(acceptance, words) ->
 
 def contractile(cells: CellGeometry, model: Model) -> jax.Array:
     """The paper's energy, with rings that contract on the apical surface and a basal surface of a preferred area."""
-    apical = 0.3 * known(cells.apical_perimeter) ** 2 + 0.1 * known(cells.apical_area)
-    basal = 0.2 * (known(cells.basal_area) - 2.0) ** 2 + known(cells.basal_perimeter)
+    sized: Any = cells  # without surfaces there is None, with which nothing can be computed
+    apical = 0.3 * sized.apical_perimeter**2 + 0.1 * sized.apical_area
+    basal = 0.2 * (sized.basal_area - 2.0) ** 2 + sized.basal_perimeter
     return epithelial_energy(cells, model) + apical + basal
 
 

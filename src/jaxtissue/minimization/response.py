@@ -17,6 +17,7 @@ from jaxtissue.minimization.traced_energy import TracedEnergy
 
 MOVE = 1e-4  # mean cell widths, by which backbones are displaced to find products with the Hessian
 SOLVED, ENOUGH = 1e-5, 0.01  # relative residuals of the linear solve: wanted, and at most
+NOISE = 1e-10  # of the energy per mean cell width, below which a force is taken as round-off
 
 
 @usual_modes()
@@ -63,8 +64,11 @@ def minimum_response(
             return jax.grad(lambda sizes: cell_energies(CellGeometry(*sizes), model).sum())(jnp.asarray(sizes))
 
         change = np.asarray(jax.jvp(by_sizes, (at,), (jnp.ones_like(at),))[1], float)
-    gradient, mixed = energy.measured(place)[1], energy.by_sizes(place)[2](*change) / energy.units
-    pull, allowed = float(np.linalg.norm(gradient)), tolerance * float(np.linalg.norm(mixed)) * (abs(parameter) or 1)
+    total, gradient = energy.measured(place)[:2]
+    mixed = energy.by_sizes(place)[2](*change) / energy.units
+    noise = NOISE * abs(float(total)) / energy.width
+    pull = float(np.linalg.norm(gradient))
+    allowed = tolerance * float(np.linalg.norm(mixed)) * (abs(parameter) or 1) + noise
     if not pull <= allowed:
         told = f"the gradient has the norm {pull:.2g}, above {allowed:.2g}: this is not a minimum"
         raise ValueError(f"{told}; relax the tissue with resolution='traced', or allow a larger tolerance")
@@ -86,6 +90,6 @@ def minimum_response(
     goal = goal - (goal @ turn) * turn
     found, failed = minres(hessian, goal, rtol=SOLVED, maxiter=2 * place.size)
     off = np.linalg.norm(product(found) - goal)
-    if failed or not off <= ENOUGH * max(np.linalg.norm(goal), 1e-300) + 1e-12:
+    if failed or not off <= ENOUGH * np.linalg.norm(goal) + noise / (abs(parameter) or 1):
         raise ValueError(f"the linear system is not solved (residual {off:.2g}); the tissue may be at a kink of E")
     return found.reshape(place.shape) / energy.units

@@ -44,7 +44,7 @@ def open_domain(positions: Float[np.ndarray, "n d"], domain: Domain, pixels: int
 
     >>> from jaxtissue.geometry.shapes import Slab
     >>> faces = open_domain(np.array([[1.0, 1.0], [3.0, 1.0]]), Slab(4, 2, 1), pixels=1000)
-    >>> len(faces), faces[0].points[0, 0].tolist(), np.unique(faces[0].cells).tolist()
+    >>> len(faces), faces[2].points[0, 0].tolist(), np.unique(faces[2].cells).tolist()
     (6, [0.0, 0.0, 0.0], [0, 1])
     """
     layout, crowd, faces = lay_out(domain), Crowd(positions, domain), []
