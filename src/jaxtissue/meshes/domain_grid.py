@@ -1,6 +1,7 @@
 """The grid of tetrahedra in a domain other than the tube: a mesh of its base surface times heights."""
 
 import math
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ HEIGHTS = 4  # steps from the apical to the basal surface, at least
 PER_CELL = 2.0  # steps for each mean cell width along the base surface
 LEAST = 12  # steps along a direction of the base surface
 TRUE = 1e-3  # of the volume of the domain, that the grid may lack where its surfaces are curved
-MOST = 400_000  # nodes: a grid that is still off then is taken as it is
+MOST = 400_000  # nodes: a grid that is still off then is taken as it is, with a warning
 
 
 class Prisms(NamedTuple):
@@ -77,7 +78,11 @@ def domain_grid(domain: Domain, cells: int) -> Grid | Prisms:
         corner = grid.nodes[grid.tetrahedra()]
         edges = corner[:, 1:] - corner[:, :1]
         volume = np.linalg.det(edges).sum() / 6
-        if abs(volume / float(domain.volume) - 1) < TRUE or len(grid.nodes) > MOST:
+        off = abs(volume / float(domain.volume) - 1)
+        if off < TRUE:
+            return grid
+        if len(grid.nodes) > MOST:
+            warnings.warn(f"the meshes of the cells miss {100 * off:.2g} % of the volume of the domain", stacklevel=4)
             return grid
         fineness *= 1.25
 

@@ -7,15 +7,13 @@ import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxtissue.compilation.modes import double_precision, usual_modes
 from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.geometry.base_surfaces import Rectangle
-from jaxtissue.geometry.domains import Domain, in_doubles
+from jaxtissue.geometry.domain_positions import ends_in_space
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.pictures.outsides import OPEN, PIXELS, Face
 
 KNOTS = 121  # points along a side of a face that may be curved
@@ -95,10 +93,6 @@ def _points(domain: Domain, layout: Layout, values: list, axis: int) -> Float[np
     """The points of a grid of coordinates, of which one has a single value."""
     first, height, last = np.meshgrid(*values, indexing="ij")
     place = layout.base(first, last)
-    with usual_modes(), double_precision():
-        ends = _embed(in_doubles(domain), jnp.asarray(place.reshape(-1, place.shape[-1])))
-    apical, basal = (np.asarray(end).reshape(*first.shape, 3) for end in (ends.apical, ends.basal))
+    ends = ends_in_space(place.reshape(-1, place.shape[-1]), domain)
+    apical, basal = (end.reshape(*first.shape, 3) for end in ends)
     return np.squeeze(apical + height[..., None] * (basal - apical), axis)
-
-
-_embed = jax.jit(lambda domain, place: domain.embed(place))
