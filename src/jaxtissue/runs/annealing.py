@@ -81,8 +81,10 @@ def resume_annealing(folder: Path, given: Mapping[str, Any], finish: bool = Fals
 def _go_on(run: Run, stop: Stop, flat: bool) -> int:
     """Sweep until the run ends or is stopped, then finish or leave it; the exit code."""
     compiled_before = run.manifest["compile_seconds"]
-    preparation = Preparation(run.kept[0], run.settings.place, flat or run.settings.no_contacts)
-    ended = _sweep(run, stop)
+    preparation = Preparation()
+    preparation.add("tools", partial(_read_tools, flat or run.settings.no_contacts))
+    preparation.add("maps 0", partial(_maps, run, run.kept[0]))
+    ended = _sweep(run, stop, preparation)
     run.manifest["compile_seconds"] = compiled_before + run.annealer.compile_seconds
     if ended:
         _finish(run, flat, preparation)
@@ -94,7 +96,7 @@ def _go_on(run: Run, stop: Stop, flat: bool) -> int:
     return 128 + stop.signal
 
 
-def _sweep(run: Run, stop: Stop) -> bool:
+def _sweep(run: Run, stop: Stop, preparation: Preparation) -> bool:
     """Sweep, write each row, save every few seconds; whether the run came to its end."""
     path, settings = run.folder / "sweeps.csv", run.settings
     energies, watch = storage.read_sweeps(path)["energy"].tolist(), AcceptanceWatch(settings.cells)
@@ -123,6 +125,8 @@ def _sweep(run: Run, stop: Stop) -> bool:
                 told = f"acceptance rate {records[-1].acceptance:.2g} in sweep {records[-1].sweep}"
                 say(f"compiled in {run.annealer.compile_seconds:.1f} s; {told}")
                 bar.set_description("annealing", refresh=False)
+            for sweep in run.kept.keys() - {settings.sweeps}:  # now that what measures them is compiled
+                preparation.add(f"volumes {sweep}", partial(_volumes, run, run.kept[sweep]))
             if doubt := watch.doubt(records):
                 say(f"warning: {doubt}")
             bar.update(len(records))
@@ -143,6 +147,8 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
 
     model, settings = run.annealer.model, run.settings
     connectivity, place = None, run.state.positions
+    beside = preparation or Preparation()
+    beside.add(f"maps {run.state.sweep}", partial(_maps, run, place))
     say(
         "measuring cells and drawing figures"
         if settings.no_contacts
@@ -159,13 +165,12 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
     shown = run.kept | {run.state.sweep: place}
     ends = (0, run.state.sweep)
     drawn = _a_few([sweep for sweep in shown if sweep < ends[1]])
-    volumes = {sweep: np.asarray(run.annealer.measure(shown[sweep]).volume) for sweep in drawn}
+    volumes = {sweep: beside.take(f"volumes {sweep}", partial(_volumes, run, shown[sweep])) for sweep in drawn}
     volumes[ends[1]] = columns["volume"]
     measured = [ends[1]], [summary["energy"]]
     sweeps = storage.read_sweeps(run.folder / "sweeps.csv")
-    maps = preparation.done().maps if preparation else None, None
     tissues = [
-        Tissue(f"sweep {sweep}", shown[sweep], volumes[sweep], own) for sweep, own in zip(ends, maps, strict=True)
+        Tissue(f"sweep {sweep}", shown[sweep], volumes[sweep], beside.take(f"maps {sweep}")) for sweep in ends
     ]
     figures: list[Any] = [
         partial(plot_energy, sweeps, measured, "total, measured as in cells.csv"),
@@ -181,6 +186,28 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
     _print_result(run)
     tissue = TissueRecord(np.asarray(place, float), model.domain, run.names, traced=connectivity)
     leave_pictures(tissue, run.folder, flat or connectivity is None)
+
+
+def _read_tools(flat: bool) -> None:
+    """Import what draws, and read the fonts."""
+    from jaxtissue.runs.plots import read_fonts
+    from jaxtissue.runs.viewing import import_pictures
+
+    read_fonts()
+    if not flat:
+        import_pictures()
+
+
+def _maps(run: Run, positions: np.ndarray) -> dict[str, list[Any]]:
+    """The surfaces of a tissue of the run."""
+    from jaxtissue.runs.plots import map_surfaces
+
+    return map_surfaces(positions, run.annealer.model.domain)
+
+
+def _volumes(run: Run, positions: np.ndarray) -> np.ndarray:
+    """The volumes of a tissue of the run, measured as while annealing."""
+    return np.asarray(run.annealer.measure(positions).volume)
 
 
 def _a_few(sweeps: list[int]) -> list[int]:

@@ -1,39 +1,40 @@
-"""Parts of the figures of a run that are prepared before its last sweep, while the device computes."""
+"""Work for the end of a run that is done beside its sweeps, which leave a processor core idle."""
 
+from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
+from queue import SimpleQueue
 from threading import Thread
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
-from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.tube import Tube
-
 
 class Preparation:
-    """A thread that imports what draws, reads the fonts, and finds the cells of the first tissue's surfaces.
+    """A thread that does one piece of work after another while the main thread goes on."""
 
-    Attributes:
-        maps: Those of the first tissue, by surface, once it is `done`; None where that failed, and is told later.
-    """
+    def __init__(self) -> None:
+        self._results: dict[str, Future] = {}
+        self._queue: SimpleQueue[tuple[Future, Callable[[], Any]]] = SimpleQueue()
+        Thread(target=self._work, daemon=True).start()
 
-    def __init__(self, first: Float[np.ndarray, "n d"], domain: Tube | Domain, flat: bool) -> None:
-        self.maps: dict[str, list[Any]] | None = None
-        self._thread = Thread(target=self._prepare, args=(first, domain, flat), daemon=True)
-        self._thread.start()
+    def add(self, name: str, work: Callable[[], Any]) -> None:
+        """Have work done under a name, unless there is some of that name."""
+        if name not in self._results:
+            self._results[name] = Future()
+            self._queue.put((self._results[name], work))
 
-    def done(self) -> "Preparation":
-        """This, at its end."""
-        self._thread.join()
-        return self
+    def take(self, name: str, work: Callable[[], Any] = lambda: None) -> Any:
+        """The result under that name, once it is there; if there is none, or it failed, that of other `work`.
 
-    def _prepare(self, first: Float[np.ndarray, "n d"], domain: Tube | Domain, flat: bool) -> None:
-        with suppress(Exception):  # whoever draws will fail as well, and tell
-            from jaxtissue.runs import plots
-            from jaxtissue.runs.viewing import import_pictures
+        What failed beside will fail again in the main thread, and be told there.
+        """
+        with suppress(Exception):
+            return self._results[name].result()
+        return work()
 
-            plots.read_fonts()
-            if not flat and isinstance(domain, Tube):
-                import_pictures()
-            self.maps = plots.map_surfaces(first, domain)
+    def _work(self) -> None:
+        while True:
+            result, work = self._queue.get()
+            try:
+                result.set_result(work())
+            except Exception as error:
+                result.set_exception(error)
