@@ -24,8 +24,8 @@ def spread_colors(cells: int, pairs: Int[np.ndarray, "m 2"]) -> Int[np.ndarray, 
     >>> spread_colors(3, np.array([[0, 1], [1, 2], [0, 2]])).tolist()
     [0, 1, 2]
     """
-    both = np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0)
-    start, other = np.searchsorted(both[:, 0], np.arange(cells + 1)).tolist(), both[:, 1].tolist()
+    both = np.unique(np.concatenate([pairs, pairs[:, ::-1]]) @ [cells, 1])
+    start, other = np.searchsorted(both, cells * np.arange(cells + 1)).tolist(), (both % cells).tolist()
     colors, count = [0] * cells, len(PALETTE)
     for cell in range(cells):  # in lists: for a few numbers arrays take ten times as long
         used = [0] * count

@@ -17,7 +17,7 @@ from jaxtissue.dynamics.schedules import has_stalled
 from jaxtissue.dynamics.sweep_log import AcceptanceWatch
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domain_positions import column_names
-from jaxtissue.runs import storage
+from jaxtissue.runs import formats, storage
 from jaxtissue.runs.preparing import Preparation
 from jaxtissue.runs.reports import contact_summary, contacts_of_run, tabulate_cells, write_contacts
 from jaxtissue.runs.run_files import FIGURES, RESULTS, Run, begin, initial_backbones, say, take_up
@@ -149,6 +149,8 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
     connectivity, place = None, run.state.positions
     beside = preparation or Preparation()
     beside.add(f"maps {run.state.sweep}", partial(_maps, run, place))
+    if "tissue" in formats.LEFT and not (flat or settings.no_contacts):
+        beside.add("outside", partial(_outside, run))
     say(
         "measuring cells and drawing figures"
         if settings.no_contacts
@@ -169,9 +171,7 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
     volumes[ends[1]] = columns["volume"]
     measured = [ends[1]], [summary["energy"]]
     sweeps = storage.read_sweeps(run.folder / "sweeps.csv")
-    tissues = [
-        Tissue(f"sweep {sweep}", shown[sweep], volumes[sweep], beside.take(f"maps {sweep}")) for sweep in ends
-    ]
+    tissues = [Tissue(f"sweep {sweep}", shown[sweep], volumes[sweep], beside.take(f"maps {sweep}")) for sweep in ends]
     figures: list[Any] = [
         partial(plot_energy, sweeps, measured, "total, measured as in cells.csv"),
         partial(plot_volumes, list(volumes), list(volumes.values()), float(model.mean_volume)),
@@ -185,7 +185,7 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
     run.write_manifest(**news, finished=now() if preparation else None, files=run.checksums(*RESULTS))
     _print_result(run)
     tissue = TissueRecord(np.asarray(place, float), model.domain, run.names, traced=connectivity)
-    leave_pictures(tissue, run.folder, flat or connectivity is None)
+    leave_pictures(tissue, run.folder, flat or connectivity is None, beside.take("outside"))
 
 
 def _read_tools(flat: bool) -> None:
@@ -203,6 +203,13 @@ def _maps(run: Run, positions: np.ndarray) -> dict[str, list[Any]]:
     from jaxtissue.runs.plots import map_surfaces
 
     return map_surfaces(positions, run.annealer.model.domain)
+
+
+def _outside(run: Run) -> list[Any]:
+    """The outside of the last tissue, as its picture shows it."""
+    from jaxtissue.runs.viewing import outside_of
+
+    return outside_of(run.state.positions, run.annealer.model.domain)
 
 
 def _volumes(run: Run, positions: np.ndarray) -> np.ndarray:

@@ -55,12 +55,14 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     with replacing(path, "w") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
-        values = ([_field(value) for value in np.asarray(column).tolist()] for column in columns.values())
-        writer.writerows(zip(*values, strict=True))
+        writer.writerows(zip(*(_fields(np.asarray(column)) for column in columns.values()), strict=True))
 
 
-def _field(value: Any) -> Any:
-    return to_field(value) if isinstance(value, str) else value
+def _fields(column: np.ndarray) -> list[Any]:
+    values = column.tolist()
+    if column.dtype.kind in "biuf":
+        return values
+    return [to_field(value) if isinstance(value, str) else value for value in values]
 
 
 def write_sweep(file: IO[str], record: SweepRecord) -> bytes:

@@ -1,15 +1,16 @@
 """Pictures of the tissue in the folder of a run, and which cell they show."""
 
 import warnings
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.exports.tissue_record import TissueRecord
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.cell_meshes import CellMeshes, mesh_cells
 from jaxtissue.meshes.cuts import segments
@@ -48,20 +49,24 @@ def import_pictures() -> None:
         optional("pyvista.plotting", "viz", "a picture in three dimensions")
 
 
-def leave_pictures(tissue: TissueRecord, folder: Path, flat: bool = False) -> None:
+def leave_pictures(
+    tissue: TissueRecord, folder: Path, flat: bool = False, outside: Sequence[Face] | None = None
+) -> None:
     """Leave the page of a run, and its pictures `formats.LEFT` unless all are to be flat.
 
+    The `outside` of the tissue is computed if it is not given.
     What can't be drawn is left out and told in a line. The page is written before, too: should the system's graphics
     end the process, it is there.
     """
     write_page(folder)
     if flat:
         return
+    views = VIEWS | {"tissue": partial(_draw_whole, outside=outside)}
     for what in formats.LEFT:
         if what == "scutoid" and not tissue.connectivity.transitions.per_cell.any():
             continue
         try:
-            view_tissue(tissue, what, folder / picture_name(what))
+            views[what](tissue, folder / picture_name(what), None)
         except Exception as error:  # results do without
             warnings.warn(f"{picture_name(what)} is not drawn: {' '.join(str(error).split())}", stacklevel=2)
             break
@@ -97,14 +102,16 @@ def _straight(tissue: TissueRecord, meshes: CellMeshes) -> CellMeshes:
     return straighten(meshes, segments(*tissue.ends), label)
 
 
-def _draw_whole(tissue: TissueRecord, path: Path, cell: int | None) -> None:
-    save(draw_tissue(_outside(tissue), _colors(tissue), tissue.unit), path)
+def _draw_whole(tissue: TissueRecord, path: Path, cell: int | None, outside: Sequence[Face] | None = None) -> None:
+    faces = outside or outside_of(tissue.positions, tissue.domain)
+    save(draw_tissue(faces, _colors(tissue), tissue.unit), path)
 
 
-def _outside(tissue: TissueRecord) -> list[Face]:
-    if isinstance(tissue.domain, Tube):
-        return cut_open(tissue.positions, tissue.domain)
-    return open_domain(tissue.positions, tissue.domain)
+def outside_of(positions: Float[np.ndarray, "n d"], domain: Tube | Domain) -> list[Face]:
+    """The outside of a tissue that is cut open."""
+    if isinstance(domain, Tube):
+        return cut_open(positions, domain)
+    return open_domain(positions, domain)
 
 
 def _draw_bodies(tissue: TissueRecord, path: Path, cell: int | None, apart: float = 0.0) -> None:
@@ -157,14 +164,14 @@ def _draw_movie(tissue: TissueRecord, path: Path, cell: int | None) -> None:
         raise ValueError("a movie needs the stored sweeps of a run of jaxtissue anneal; use --what tissue")
     colors, frames = _colors(tissue), []
     for _, positions in sorted(tissue.history.items()):
-        plotter = draw_tissue(_outside(replace(tissue, positions=positions)), colors, tissue.unit)
+        plotter = draw_tissue(outside_of(positions, tissue.domain), colors, tissue.unit)
         frames.append(plotter.screenshot(return_img=True))
         plotter.close()
     save_movie(frames, path, _SECONDS)
 
 
 def _draw_turntable(tissue: TissueRecord, path: Path, cell: int | None) -> None:
-    plotter = draw_tissue(_outside(tissue), _colors(tissue), None)
+    plotter = draw_tissue(outside_of(tissue.positions, tissue.domain), _colors(tissue), None)
     save_movie(list(turn_round(plotter)), path, _QUICK, SMALLER)
     plotter.close()
 

@@ -151,9 +151,9 @@ class _Growing:
         ends = fronts.of(there)
         four = np.sort(np.append(ends.labels, met[there, None], axis=1), axis=1)
         place = (four < met[there, None]).sum(axis=1)
-        rows = zip(*(column.tolist() for column in (ends.number, ends.end, four, place, ends.point)), strict=True)
-        for number, left, labels, omitted, point in rows:
-            end = 4 * self._vertex(point, tuple(labels)) + omitted
+        rows = zip(*(column.tolist() for column in (ends.number, ends.end, place, ends.point)), strict=True)
+        for labels, (number, left, omitted, point) in zip(zip(*four.T.tolist(), strict=True), rows, strict=True):
+            end = 4 * self._vertex(point, labels) + omitted
             if left < 0 or left in self.closed:
                 continue
             if end in self.closed:  # one of the two went astray: its other end stays open, or is met rightly
@@ -163,9 +163,10 @@ class _Growing:
 
     def _vertex(self, point: list[float], labels: tuple[int, ...]) -> int:
         """The number of a vertex, new or known."""
-        same = self.known.setdefault(labels, [])
+        same, near = self.known.setdefault(labels, []), 1e-8 * self.bisectors.size
         for number in same:
-            if max(abs(a - b) for a, b in zip(self.points[number], point, strict=True)) < 1e-8 * self.bisectors.size:
+            (a, b, c), (x, y, z) = self.points[number], point
+            if abs(a - x) < near and abs(b - y) < near and abs(c - z) < near:
                 return number
         same.append(len(self.points))
         self.points.append(point)

@@ -13,8 +13,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
+from jaxtissue.system.cores import in_threads, usable_threads
 from jaxtissue.topology.bisectors import TOUCH, Bisectors
 
+SIDES = (-1, 1)  # along the axis
 RAYS = 8  # from the middle of a lens, on which its edge is sought
 
 
@@ -31,8 +33,8 @@ def seed(bisectors: Bisectors) -> Seeds:
     own, surface = np.tile(bisectors.order, 2), np.repeat([0, 1], n)
     radius = np.array([bisectors.inner, bisectors.outer])[surface]
     place = np.stack([bisectors.axial[own], radius * bisectors.cosine[own], radius * bisectors.sine[own]], axis=1)
-    for side in (-1, 1):
-        away, other = first_wall(place, own, side, bisectors)
+    firsts = in_threads(lambda side: first_wall(place, own, side, bisectors), SIDES)
+    for side, (away, other) in zip(SIDES, firsts, strict=True):
         point = place.copy()
         point[:, 0] = np.clip(place[:, 0] + side * away, 0, bisectors.length)
         met = (point[:, 0] > 0) & (point[:, 0] < bisectors.length)
@@ -84,7 +86,7 @@ def seed_lenses(
     """
     way = np.stack([bisectors.cosine, bisectors.sine], axis=1)
     tips = np.concatenate([bisectors.axial[:, None], bisectors.inner * way], axis=1)[: bisectors.count]
-    found = KDTree(tips).query_ball_point(center, reach)
+    found = KDTree(tips).query_ball_point(center, reach, workers=usable_threads())
     wall, cell = np.repeat(np.arange(len(pairs)), [len(some) for some in found]), np.concatenate([[], *found])
     cell = cell.astype(int)
     gap = bisectors.axial[pairs[wall, 1]] - bisectors.axial[pairs[wall, 0]]

@@ -5,6 +5,7 @@ Spreads", GRAPP 2025.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.system.cores import in_threads
 from jaxtissue.topology.bisectors import Bisectors
 from jaxtissue.topology.contacts import Faces, find_faces
 from jaxtissue.topology.edges import WIDE, EdgeGraph, trace_edges
@@ -128,7 +130,8 @@ def find_forms(
     place = as_positions(positions, tube, np.float64)
     graph = trace_edges(place, tube) if edges is None else edges
     faces = find_faces(graph) if faces is None else faces
-    return CellForms(_find_rings(place, tube, graph), _count_pieces(graph, faces))
+    parts = partial(_find_rings, place, tube, graph), partial(_count_pieces, graph, faces)
+    return CellForms(*in_threads(lambda part: part(), parts))
 
 
 def _find_rings(place: np.ndarray, tube: Tube, graph: EdgeGraph) -> Bool[np.ndarray, " n"]:
