@@ -126,8 +126,8 @@ class _Growing:
     def grow(self, seeds: Seeds) -> None:
         """Follow the edges at seeds, and all edges joined to them."""
         sign, end = np.ones(len(seeds.point)), np.full(len(seeds.point), -1)
-        fronts = self._begin(seeds.point, seeds.labels, sign, end)
-        while len(fronts.point):
+        fronts, waiting = self._begin(seeds.point, seeds.labels, sign, end), np.zeros(0, int)
+        while len(fronts.point) or len(waiting):
             moved, met = step(fronts, self.bisectors)
             good = met != FAILED
             self.walked.append((moved.number[good], np.stack([fronts.point, moved.point], axis=1)[good]))
@@ -135,7 +135,10 @@ class _Growing:
             self._enter(moved, met)
             open_ = np.array([end not in self.closed for end in moved.end.tolist()], bool)
             going = open_ & ((met == RUNNING) | (met == FAILED)) & (moved.longest > TOUCH * self.bisectors.size)
-            fronts = Fronts.of_all([moved.of(going), self._leave(first)])
+            fronts = moved.of(going)
+            left = np.append(waiting, np.arange(4 * first, 4 * len(self.points)))
+            new, waiting = self._leave(left, fronts)
+            fronts = Fronts.of_all([fronts, new])
 
     def _begin(self, point: np.ndarray, labels: np.ndarray, sign: np.ndarray, end: np.ndarray) -> Fronts:
         fronts = begin(point, labels, sign, end, self.count, self.bisectors)
@@ -173,19 +176,30 @@ class _Growing:
         self.labels.append(labels)
         return same[-1]
 
-    def _leave(self, first: int) -> Fronts:
-        """Fronts along the edges that the vertices from number `first` on end, if not yet followed."""
-        point = np.array(self.points[first:]).reshape(-1, 3)
-        labels = np.array(self.labels[first:], int).reshape(-1, 4)
-        rest = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-        triple, other = labels[:, rest].reshape(-1, 3), labels.ravel()
-        end = 4 * first + np.arange(len(other))
-        new = np.array([number not in self.closed for number in end.tolist()], bool)
-        go = np.flatnonzero(new)
-        triple, other, point = triple[go], other[go], point[go // 4]
+    def _leave(self, ends: np.ndarray, fronts: Fronts) -> tuple[Fronts, np.ndarray]:
+        """Fronts along edges from their ends, if not yet followed, and the ends that wait.
+
+        An end waits while an edge of its labels is followed, by one of `fronts` or by the first of the new ones:
+        that is most often the same edge, from its other end.
+        """
+        ends = np.array([end for end in ends.tolist() if end not in self.closed], int)
+        vertex, omitted = ends // 4, ends % 4
+        labels = np.array([self.labels[number] for number in vertex.tolist()], int).reshape(-1, 4)
+        rest = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[omitted]
+        triple, other = np.take_along_axis(labels, rest, axis=1), labels[np.arange(len(ends)), omitted]
+        key, followed = self._keys(triple), self._keys(fronts.labels[fronts.end >= 0])
+        go = np.unique(key, return_index=True)[1]
+        go = go[~np.isin(key[go], followed)]
+        waiting, ends, triple, other = np.delete(ends, go), ends[go], triple[go], other[go]
+        point = np.array([self.points[number] for number in (ends // 4).tolist()]).reshape(-1, 3)
         _, slope = self.bisectors.over_first(point, np.stack([triple[:, 0], other], axis=1))
         sign = -np.sign((self.bisectors.tangent(point, triple) * slope[..., 0].T).sum(axis=1))
-        return self._begin(point, triple, sign, end[go])
+        return self._begin(point, triple, sign, ends), waiting
+
+    def _keys(self, labels: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, " m"]:
+        """A number for each three labels."""
+        base = self.bisectors.count + 4
+        return labels @ [base**2, base, 1]
 
     def _segments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Labels of all fronts; the front and the two points of each segment walked, in order."""
@@ -197,8 +211,7 @@ class _Growing:
     def covers(self, seeds: Seeds) -> Bool[np.ndarray, " m"]:
         """Whether an edge has been followed past each seed."""
         labels, front, points = self._segments()
-        base = self.bisectors.count + 4
-        key, wanted = (rows @ [base**2, base, 1] for rows in (labels[front], seeds.labels))
+        key, wanted = self._keys(labels[front]), self._keys(seeds.labels)
         order = np.argsort(key)
         first, last = (np.searchsorted(key[order], wanted, side=side) for side in ("left", "right"))
         row, place = ranges(first, last - first)
