@@ -62,16 +62,20 @@ class Annealer:
     """Metropolis-Hastings sweeps that you call from your own loop (paper, sections 3.2 and 3.3).
 
     `anneal` runs all sweeps in one call. Use `Annealer` to stop, save and continue a run, or to choose the algorithm.
-    `start(positions)` returns the initial state. `advance(state)` runs a span of up to ten sweeps and returns the new
-    state, a list of `SweepRecord` and the positions after each sweep, shape [sweeps of the span, n, 2]. Neighbor lists
-    are rebuilt and checked after every span. The trajectory depends only on the arguments, the initial state and the
-    kind of device.
+    `start(positions)` returns the initial state. `advance(state)` runs a span of sweeps and returns the new state, a
+    list of `SweepRecord` and the positions after each sweep, shape [sweeps of the span, n, 2]. A span ends where
+    neighbor lists are rebuilt: after each of the first eight sweeps, later after every fifth and then every tenth.
+    Call `advance` while `state.sweep < len(temperatures)`.
+
+    To save a run, save the three fields of its `AnnealState`, a tuple; to continue, pass them to `advance` of an
+    `Annealer` with the same arguments. The trajectory depends only on the arguments, the initial state and the kind of
+    device.
 
     Args:
         model: Energy model; see `tube_model`.
         resolution: "draft", "standard" or "fine", or a `Resolution`.
-        algorithm: "is-mh", in which independent moves are decided together, or "mh", one move at a time in random
-            order.
+        algorithm: "is-mh" (independent-set Metropolis-Hastings), in which moves that do not affect each other are
+            decided together, or "mh", one move at a time in random order.
         seed: Seed of the moves, 0 to 2^32 - 1.
         temperatures: Temperature T of each sweep, in energy units, at least 0, shape [sweeps].
         conflicts: Rule by which two moves are not independent in "is-mh". "near" (the default): a cell touches both

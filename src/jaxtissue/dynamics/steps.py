@@ -56,8 +56,8 @@ def init(positions: PositionsLike, model: Model, resolution: Resolution | str = 
     """Create the state for `step`: cells measured, neighbor lists built, cells partitioned into independent sets.
 
     Use `init` and `step` to write your own dynamics in JAX; to run a given number of sweeps use `anneal`. `init` runs
-    on the host and is not jittable. Neighbor lists stay valid for about ten sweeps of the default moves; then call
-    `init` again with `state.positions`. Nothing checks their validity in between (`anneal` and `Annealer` do).
+    on the host and is not jittable. Neighbor lists stay valid for about ten sweeps, that is, ten calls of `step`; then
+    call `init` again with `state.positions`. Nothing checks their validity in between (`anneal` and `Annealer` do).
 
     Args:
         positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with

@@ -54,18 +54,23 @@ class NeighborList(eqx.Module):
     @staticmethod
     @usual_modes()
     def allocate(positions: PositionsLike, domain: Any, margin: float = 0.0) -> Any:
-        """Build the complete neighbor list of a tissue. Runs on the host; not jittable.
+        """Build the neighbor list of a tissue: for each cell, every backbone that its cell may share a wall with.
+
+        A list holds more backbones than the walls need, so that it can be kept while backbones move a little; `covers`
+        tells whether it still lacks none, and `update` renews it if it does. Runs on the host; not jittable.
 
         Args:
             positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2]; on other
                 domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
             domain: The tube or other domain.
-            margin: Backbones within this axial distance are listed both behind and ahead, so that the list stays valid
-                when a backbone passes another along the axis. In length units; defaults to 0. Used for `Tube` only.
+            margin: Used for `Tube` only, where each cell has one list of backbones behind it (smaller axial position)
+                and one of those ahead. A backbone within this axial distance is put on both, so that the lists stay
+                valid when the two backbones pass each other. In length units; a good value is the sum of the longest
+                moves of both. Defaults to 0: any such passing may make the list incomplete.
 
         Returns:
-            A `NeighborList` for a `Tube`. For other domains, a `SectionNeighbors` with the same methods; its `covers`
-            is not jittable.
+            A `NeighborList` for a `Tube`. For other domains, a `SectionNeighbors` with the same methods, of which
+            `covers` is not jittable.
 
         Raises:
             ValueError: If a position is not finite, lies outside the domain, or coincides with another.

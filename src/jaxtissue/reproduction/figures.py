@@ -107,12 +107,12 @@ def plot_runs(table: Table, as_paper: bool = True) -> tuple[Figure, np.ndarray]:
     titles = ("Energy of the tissue", "The same against rounds, the paper's axis",
               "MH and IS-MH at equal sweeps", "How tight the spread of backbones is")  # fmt: skip
     for panel, title in zip(axes.flat, titles, strict=True):
-        panel.set(title=title, xlabel="sweep", ylabel="energy (tube units)")
+        panel.set(title=title, xlabel="sweep", ylabel="energy (length units)")
         panel.grid(which="both", color="0.92")
     for panel in axes[0]:
         panel.set_ylim(bottom=0)
     axes[0, 1].set_xlabel("rounds")
-    axes[1, 1].set(ylabel="covering radius (tube units); tightness (no unit)")
+    axes[1, 1].set(ylabel="covering radius (length units); tightness (no unit)")
     for panel in axes.flat:
         panel.legend(fontsize=8, loc="lower right" if panel is axes[1, 1] else "upper right")
     return figure, axes
@@ -129,7 +129,7 @@ def plot_volume_ranks(table: Table, mean_volume: float, length: float) -> tuple[
         label = "start" if sweep == 0 else f"sweep {sweep:g}"
         band(axes[0], rows["rank"], rows["volume"], color, ":" if sweep == 0 else "-", label)
     axes[0].axhline(mean_volume, color="black", ls=":", label=f"mean {mean_volume:.3g}")
-    axes[0].set(xlabel="cells, from the smallest to the largest", ylabel="cell volume (tube units³)")
+    axes[0].set(xlabel="cells, from the smallest to the largest", ylabel="cell volume (length units³)")
     axes[0].set_title("Sorted volumes, mean of the runs")
     axes[0].set_ylim(bottom=0)
     last = where(table, sweep=sweeps[-1])
@@ -137,7 +137,7 @@ def plot_volume_ranks(table: Table, mean_volume: float, length: float) -> tuple[
     for ends, color, marker, label in ((0, _BLUE, ".", "inner cells"), (1, _ORANGE, "x", "cells at an end")):
         at = last["is_end"] == ends
         axes[1].plot(last["axial"][at], off[at], marker, color=color, ms=4, alpha=0.6, label=label)
-    axes[1].set(xlabel="axial position (tube units)", ylabel="distance to the mean volume (%)", xlim=(0, length))
+    axes[1].set(xlabel="axial position (length units)", ylabel="distance to the mean volume (%)", xlim=(0, length))
     axes[1].set_title(f"Where volumes are off after {sweeps[-1]:g} sweeps, all runs")
     for panel in axes:
         panel.grid(color="0.92")

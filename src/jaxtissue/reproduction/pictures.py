@@ -196,7 +196,7 @@ def _draw_unrolled(
     radii = np.linalg.norm(shape.corners[..., 1:], axis=-1)
     spare = 0.03 * np.ptp(radii)
     axes.set(xlim=(-180, 180), ylim=(radii.min() - spare, radii.max() + spare), title="its wall, unrolled")
-    axes.set(xlabel="direction round the backbone (degrees)", ylabel="distance from the axis (tube units)")
+    axes.set(xlabel="direction round the backbone (degrees)", ylabel="distance from the axis (length units)")
     axes.set_xticks(range(-180, 181, 90))
 
 
@@ -220,7 +220,7 @@ def _draw_section(axes: Axes, tube: Tube, place: np.ndarray, pair: tuple[int, in
         if min(inside.shape) > 1:
             axes.contour(axial[column], around[row], inside, levels=[0.5], colors=_EDGE, linewidths=0.8)
     axes.set(xlim=(axial[0], axial[-1]), ylim=(-width, width))
-    axes.set(xlabel="along the axis (tube units)", ylabel="around the tube (tube units)")
+    axes.set(xlabel="along the axis (length units)", ylabel="around the tube (length units)")
 
 
 def _frame(axes: Axes3D, corners: Float[np.ndarray, "... 3"]) -> None:
@@ -232,7 +232,7 @@ def _frame(axes: Axes3D, corners: Float[np.ndarray, "... 3"]) -> None:
     look: dict[str, Any] = {"aspect": high - low + 2 * spare, "zoom": 0.96}
     axes.set_box_aspect(**look)
     directions: list[Any] = [axes.xaxis, axes.yaxis, axes.zaxis]
-    labels = ("along the axis", "around", "from the axis (all in tube units)")
+    labels = ("along the axis", "around", "from the axis (all in length units)")
     for axis, label in zip(directions, labels, strict=True):
         axis.set_label_text(label, fontsize=9)
         axis.set_major_locator(MaxNLocator(4))

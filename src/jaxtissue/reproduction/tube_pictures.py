@@ -132,7 +132,7 @@ def _frame(axes: Axes3D, tube: Tube) -> None:
     }
     axes.set_box_aspect(**look)
     directions: list[Any] = [axes.xaxis, axes.yaxis, axes.zaxis]
-    axes.set(xlabel="x, along the axis (tube units)", ylabel="y (tube units)", zlabel="z (tube units)")
+    axes.set(xlabel="x, along the axis (length units)", ylabel="y (length units)", zlabel="z (length units)")
     for axis in directions:
         axis.set_pane_color((1, 1, 1, 0))
     axes.yaxis.set_major_locator(MaxNLocator(4))

@@ -27,6 +27,7 @@ from jaxtissue.system.extras import optional
 
 LOOKED_AT = 1e-4  # the tolerance of meshes that are only looked at
 CLOSELY = 4e-5  # and of those of a few cells
+_ALIKE = 150  # so far apart in red, green and blue two colors are easily told apart
 _SECONDS, _QUICK = 0.7, 0.12  # for each picture of a movie, and of a turntable
 
 
@@ -148,8 +149,9 @@ def _draw_internal(tissue: TissueRecord, path: Path, cell: int | None) -> None:
     around = np.setdiff1d(transitions.cells[both], pair)
     shown = pair.tolist(), around.tolist()
     meshes, colors = _mesh(tissue, *shown[0], *shown[1]), _colors(tissue)
-    if (colors[pair[0]] == colors[pair[1]]).all():  # where eight colors do not suffice
-        colors[pair[1]] = next(color for color in colors if (color != colors[pair[0]]).any())
+    away = np.linalg.norm(colors.astype(float) - colors[pair[0]], axis=1)
+    if away[pair[1]] < _ALIKE:  # the same where eight colors do not suffice, or two blues
+        colors[pair[1]] = colors[away.argmax()]
     save(draw_cells(meshes, colors, *shown, transitions.points[both], tissue.unit), path)
 
 

@@ -35,17 +35,20 @@ class Connectivity:
 
     Attributes:
         contacts: Pairs of cells that share a wall, a `Contacts`.
-        transitions: Transition points, with fields `points` (Cartesian coordinates, shape [k, 3]), `cells` (the four
-            cells that meet at each, shape [k, 4]), `per_cell` (number per cell, shape [n]), `is_scutoid` (shape [n]),
-            `open_ends` and `height`.
+        transitions: Transition points, a `Transitions` with fields `points` (Cartesian coordinates, shape [k, 3]),
+            `cells` (the four cells that meet at each, shape [k, 4]), `per_cell` (number per cell, shape [n]),
+            `is_scutoid` (whether a cell has at least one, shape [n]), `open_ends` (number of edges of the diagram that
+            could not be followed; if it is not 0, a warning says so, and contacts and transition points may be
+            missing) and `height` (0 on the apical to 1 on the basal surface, shape [k]; None for a `Tube`).
         forms: Topology of the cells, with fields `is_ring` (whether a cell encircles the lumen, shape [n]) and `pieces`
             (number of connected components of a cell, shape [n]).
         is_end: Whether each cell touches an end of the domain (in a tube x = 0 or x = L), booleans, shape [n].
         sizes: Volume, areas and perimeters of each cell in float64, with the per-cell fields of `CellGeometry`. None if
-            an edge could not be traced, and for domains other than `Tube`.
+            `open_ends` is not 0, and for domains other than `Tube`.
         stretch_anisotropy: Ratio of the larger to the smaller principal stretch from the apical to the basal surface at
-            each backbone, shape [n]: (1 + k_1 h) / (1 + k_2 h) or its inverse, with the principal curvatures k_1 and
-            k_2 of the apical surface. None for a `Tube`, in which it is R_b / R_a everywhere.
+            each backbone, shape [n]: (1 + k_1 h) / (1 + k_2 h) or its inverse, with the thickness h of the tissue and
+            the principal curvatures k_1 and k_2 of the apical surface, positive if it bulges toward the basal one.
+            None for a `Tube`, in which it is R_b / R_a everywhere.
     """
 
     contacts: Contacts
