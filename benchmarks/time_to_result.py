@@ -6,6 +6,7 @@ sweeps is the wall time of the whole command, imports included, less the seconds
 """
 
 import csv
+import json
 import os
 import subprocess
 import sys
@@ -58,7 +59,15 @@ def main() -> None:
     """Time all sizes and write them with the bar."""
     parser = common.options(__doc__ or "", "time_to_result")
     parser.add_argument("--cells", type=int, nargs="+", default=CELLS, help="numbers of cells")
+    parser.add_argument("--maps", action="store_true", help="time the maps only, and renew them in the file")
     arguments = parser.parse_args()
+    if arguments.maps:
+        known = json.loads(arguments.out.read_text())
+        for cells, row in known["seconds"].items():
+            row["map"] = draw_map(int(cells))
+            print(cells, f"map {row['map']:.2f} s", flush=True)
+        arguments.out.write_text(json.dumps(known | {"commit_of_maps": common.commit()}, indent=1) + "\n")
+        return
     rows: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as temporary:
         folder, cache = Path(temporary) / "run", Path(temporary) / "cache"

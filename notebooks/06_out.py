@@ -93,6 +93,10 @@ bar = {
     "fmt": "%.0f",
     "title_font_size": 20,
     "label_font_size": 18,
+    "vertical": True,
+    "height": 0.6,
+    "position_x": 0.85,
+    "position_y": 0.2,
 }
 plotter.add_mesh(half, scalars="neighbors", cmap="viridis", scalar_bar_args=bar)
 plotter.add_mesh(lines.extract_cells(~behind), color="black", line_width=3)

@@ -20,7 +20,7 @@ _HALF = 2 ** (_DEPTH // 2) - 1
 _TRIPLED = np.sum([(np.arange(_HALF + 1) >> bit & 1) << 3 * bit for bit in range(_DEPTH // 2)], axis=0)
 _FEW = 4  # points that are no longer taken together
 _CHUNK = 2**17  # points sorted together
-_BATCH = 2**15  # pairs of boxes and backbones worked on together
+_BATCH = 2**18  # pairs of boxes and backbones worked on together: threads that take turns more often wait longer
 
 
 class Stand(NamedTuple):
