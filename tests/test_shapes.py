@@ -92,7 +92,7 @@ def test_edges_lie_on_the_shape_and_the_frame_keeps_distances(edges):
 def test_pictures_of_cells_name_their_axes(edges, monkeypatch):
     monkeypatch.setattr(pictures, "shape_cell", partial(shape_cell, layers=12, across=16))
     figure, axes = plot_cell_in_tissues(TUBE, INNER, [("start", POSITIONS, edges)])
-    assert rendered(figure) and "tube units" in axes[0].get_zlabel()
+    assert rendered(figure) and "length units" in axes[0].get_zlabel()
     found, contacts = find_transitions(POSITIONS, TUBE, edges), find_contacts(POSITIONS, TUBE, edges=edges)
     cell = int(found.per_cell.argmax())
     own = (contacts.pairs == cell).any(axis=1)
@@ -104,11 +104,11 @@ def test_pictures_of_cells_name_their_axes(edges, monkeypatch):
     assert "transition point" in labels and len(labels) == len(set(kinds.values())) + 2
     first, second = contacts.pairs[0].tolist()
     figure, axes = plot_internal_pair(TUBE, POSITIONS, (first, second), 4.0, edges)
-    assert rendered(figure) and all("tube units" in panel.get_xlabel() for panel in axes[:3])
+    assert rendered(figure) and all("length units" in panel.get_xlabel() for panel in axes[:3])
 
 
 def test_pictures_of_tubes_name_their_axes(monkeypatch):
     monkeypatch.setattr(tube_pictures, "_GRID", (120, 60, 8))
     for plot in (plot_backbones, plot_tube):
         figure, axes = plot(TUBE, POSITIONS)
-        assert rendered(figure) and "tube units" in axes.get_xlabel() and "24" in axes.get_title()
+        assert rendered(figure) and "length units" in axes.get_xlabel() and "24" in axes.get_title()
