@@ -6,9 +6,10 @@ from known import known
 from scipy.spatial.transform import Rotation
 
 import jaxtissue as jt
-from jaxtissue.images.drawing import draw_turned
-from jaxtissue.images.frame import frame_of_axis
+from jaxtissue.images.drawing import draw_labels, draw_turned
+from jaxtissue.images.frame import Frame, frame_of_axis
 from jaxtissue.images.label_images import close_gaps, remove_specks
+from jaxtissue.images.shell_fit import fit_ellipsoid
 from jaxtissue.images.voxel_faces import face_areas, face_normals, find_faces
 
 TUBE = jt.Tube(10, 1.5, 4)
@@ -255,3 +256,45 @@ def test_frames_are_as_near_to_the_image_as_can_be():
     axes = frame_of_axis(np.array([0.1, 0.99, 0.1]))
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(axes) == pytest.approx(1)
+
+
+SHELL_SPACING = (0.6, 0.3, 0.3)
+MIDDLE = np.array([8.1, 7.8, 8.3])
+
+
+def even_directions(count: int) -> np.ndarray:
+    """Unit vectors on a spiral from pole to pole, which keep a distance from each other."""
+    height, turn = 1 - (2 * np.arange(count) + 1) / count, np.pi * (3 - np.sqrt(5)) * np.arange(count)
+    across = np.sqrt(1 - height**2)
+    return np.column_stack([across * np.cos(turn), across * np.sin(turn), height])
+
+
+def drawn_shell(shell, directions) -> np.ndarray:
+    """A closed tissue in an image, turned, with flat voxels."""
+    sizes, labels = np.array(SHELL_SPACING)[::-1], np.arange(1, len(directions) + 1)
+    shape = tuple(np.ceil(16.4 / np.array(SHELL_SPACING)).astype(int).tolist())
+    return draw_labels(shell, directions, labels, Frame(MIDDLE, TURNED), sizes, shape)[0]
+
+
+def test_a_cyst_is_fitted_as_it_was_drawn():
+    cyst, directions = jt.Sphere(4, 7), even_directions(24)
+    fit = jt.fit_tissue(drawn_shell(cyst, directions), SHELL_SPACING, "sphere")
+    radii = [float(fit.domain.apical_radius), float(fit.domain.basal_radius)]
+    np.testing.assert_allclose(radii, [4, 7], atol=0.05)
+    np.testing.assert_allclose(fit.frame.origin, MIDDLE, atol=0.05)
+    ends = fit.frame.to_image(7 * fit.positions)
+    assert np.linalg.norm(ends - (7 * directions @ TURNED + MIDDLE), axis=1).max() < 0.2  # half a voxel
+    assert fit.report["voxels_same"] > 0.98 and fit.report["neighbors_kept"] > 0.95
+    assert fit.report["volume_error"] < 0.03 and {"nx", "ny", "nz"} < fit.columns().keys()
+
+
+def test_an_ellipsoid_with_a_gap_is_found_where_it_was_drawn():
+    shell = jt.Ellipsoid([5, 4, 3], [7.5, 6, 5])
+    labels = drawn_shell(shell, even_directions(20))
+    found, frame = fit_ellipsoid(np.where(labels == 7, 0, labels), np.array(SHELL_SPACING)[::-1])
+    np.testing.assert_allclose(found.apical_axes, shell.apical_axes, atol=0.1)
+    np.testing.assert_allclose(found.basal_axes, shell.basal_axes, atol=0.1)
+    np.testing.assert_allclose(frame.origin, MIDDLE, atol=0.1)
+    np.testing.assert_allclose(np.abs(frame.axes @ TURNED.T), np.eye(3), atol=0.05)
+    with pytest.raises(ValueError, match="do not enclose a lumen on all sides"):
+        fit_ellipsoid(np.pad(np.ones((8, 8, 8), int), 2), np.ones(3))

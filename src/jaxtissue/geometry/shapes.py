@@ -160,7 +160,6 @@ class BentTube(Shape):
 
     The position of a backbone is (axial, angle): the arc length along the center line, from 0 on the x-axis to
     R * arc toward the y-axis, and the angle around it in radians, 0 on the outer side of the bend and pi / 2 toward z.
-    The ends of a torus are joined.
 
     Attributes:
         bend_radius: R, radius of the center line. Its unit is the unit of all lengths.

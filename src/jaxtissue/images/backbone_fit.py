@@ -115,7 +115,9 @@ def _find_feet(domain: Any, positions: Float[np.ndarray, "n k"], walls: WallPoin
 @usual_modes()
 @jax.jit
 def _embed(domain: Any, positions: Float[Array, "n k"]) -> Any:
-    """Both ends of each backbone, [n, 3]."""
+    """Both ends of each backbone, [n, 3]; of unit vectors the direction alone counts."""
+    if positions.shape[1] == 3:
+        positions = positions / jnp.linalg.norm(positions, axis=1, keepdims=True)
     backbones = domain.embed(positions)
     return backbones.apical, backbones.basal
 

@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxtissue.geometry.shapes import Ellipsoid, Sphere
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.images.frame import Frame
 from jaxtissue.images.outside import APICAL, BASAL
+from jaxtissue.images.shell_fit import fit_ellipsoid, fit_sphere
 from jaxtissue.images.tube_fit import fit_tube
 
 INSIDE = 3  # the mark of points of the tissue, beside APICAL and BASAL
@@ -74,4 +76,40 @@ def _locate_in_tube(tube: Tube, points: Float[np.ndarray, "p 3"]) -> Int[np.ndar
     return np.where((points[:, 0] >= 0) & (points[:, 0] <= tube.length), marks, 0)
 
 
-FITTERS = {"tube": Fitter(Tube, fit_tube, _start_in_tube, _settle_in_tube, _enclose_by_tube, _locate_in_tube)}
+def _semi_axes(shell: Sphere | Ellipsoid) -> Float[np.ndarray, "2 3"]:
+    """The semi-axes of the apical and the basal surface."""
+    if isinstance(shell, Sphere):
+        return np.outer([float(shell.apical_radius), float(shell.basal_radius)], np.ones(3))
+    return np.array([shell.apical_axes, shell.basal_axes], float)
+
+
+def _start_in_shell(
+    shell: Sphere | Ellipsoid, points: Float[np.ndarray, "p 3"], cells: Int[np.ndarray, " p"], count: int
+) -> Float[np.ndarray, "n 3"]:
+    """The mean direction of each cell's points, where the surface between the two is a unit sphere."""
+    unit = _settle_in_shell(shell, points / _semi_axes(shell).mean(axis=0))
+    return _settle_in_shell(shell, np.stack([np.bincount(cells, part, count) for part in unit.T], axis=-1))
+
+
+def _settle_in_shell(shell: Sphere | Ellipsoid, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    return positions / np.linalg.norm(positions, axis=1, keepdims=True)
+
+
+def _enclose_by_shell(
+    shell: Sphere | Ellipsoid, frame: Frame, positions: Float[np.ndarray, "n 3"]
+) -> tuple[Sphere | Ellipsoid, Frame, Float[np.ndarray, "n 3"]]:
+    """The same: a closed shell has all backbones already."""
+    return shell, frame, _settle_in_shell(shell, positions)
+
+
+def _locate_in_shell(shell: Sphere | Ellipsoid, points: Float[np.ndarray, "p 3"]) -> Int[np.ndarray, " p"]:
+    above, below = (np.linalg.norm(points / semi, axis=1) for semi in _semi_axes(shell))
+    return np.where(above < 1, APICAL, np.where(below > 1, BASAL, INSIDE))
+
+
+_SHELL = _start_in_shell, _settle_in_shell, _enclose_by_shell, _locate_in_shell
+FITTERS = {
+    "tube": Fitter(Tube, fit_tube, _start_in_tube, _settle_in_tube, _enclose_by_tube, _locate_in_tube),
+    "sphere": Fitter(Sphere, fit_sphere, *_SHELL),
+    "ellipsoid": Fitter(Ellipsoid, fit_ellipsoid, *_SHELL),
+}

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxtissue.geometry.domain_positions import column_names
+from jaxtissue.geometry.tube import Tube
 from jaxtissue.images.backbone_fit import WallPoints, fit_backbones
 from jaxtissue.images.drawing import draw_labels
 from jaxtissue.images.frame import Frame
@@ -24,6 +26,7 @@ from jaxtissue.system.frames import as_frame
 from jaxtissue.topology.statistics import Connectivity, find_connectivity, tabulate_connectivity
 
 POOR = 0.8  # of the image's voxels: where fewer are the same, the shape is doubted
+_SIZES = ("volume", "lateral_area", "apical_area", "basal_area")
 GAP = 0.02  # of a cell's voxels, which lie where the image has no cell, that make it one beside a gap
 
 
@@ -32,8 +35,8 @@ class TissueFit:
     """Tissue fitted to a label image, as returned by `fit_tissue`. Lengths are in the unit of the voxel spacing.
 
     Attributes:
-        domain: The fitted domain, a `Tube`.
-        positions: Axial position and angle in radians of each backbone, shape [n, 2].
+        domain: The fitted domain, a `Tube`, `Sphere` or `Ellipsoid`.
+        positions: Axial position and angle in radians of each backbone, shape [n, 2], or unit vectors of shape [n, 3].
         labels: Label of the cell of each backbone in the image, in increasing order, shape [n].
         frame: Location of the domain in the image, with fields `origin` (shape [3]) and `axes` (unit vectors in rows,
             shape [3, 3]) and methods `to_domain` and `to_image`.
@@ -48,16 +51,20 @@ class TissueFit:
             `volume_error`: root-mean-square of the difference in volume, divided by the mean volume, over cells that
             are neither at the border of the image nor next to a gap. `cells`, `cells_at_border`, `cells_beside_gap`:
             numbers of cells.
+        sizes: `volume`, `lateral_area`, `apical_area` and `basal_area` of each cell of the model by name, shape [n]: in
+            a tube from its traced edges, and empty if one could not be traced; in other domains measured in `voxels`,
+            as those of the image are.
     """
 
     domain: Any
-    positions: Float[np.ndarray, "n 2"]
+    positions: Float[np.ndarray, "n d"]
     labels: Int[np.ndarray, " n"]
     frame: Frame
     voxels: Int[np.ndarray, "z y x"]
     cells: LabelCells
     beside_gap: Bool[np.ndarray, " n"]
     report: dict[str, float]
+    sizes: dict[str, Float[np.ndarray, " n"]]
 
     @cached_property
     def connectivity(self) -> Connectivity:
@@ -71,17 +78,16 @@ class TissueFit:
             Mapping from column name to an array of shape [n].
         """
         inside = self.frame.to_domain(self.cells.centroid)
-        columns = {"label": self.labels, "axial": self.positions[:, 0], "angle": self.positions[:, 1]}
+        columns = {"label": self.labels}
+        columns |= dict(zip(column_names(self.domain), self.positions.T, strict=True))
         columns |= dict(zip(("centroid_x", "centroid_y", "centroid_z"), inside.T, strict=True))
         measured = self.cells.columns()
         flag = measured.pop("at_border")
         for name in ("label", "x", "y", "z"):
             measured.pop(name)
         columns |= {f"image_{name}": column for name, column in measured.items()}
-        sizes, table = self.connectivity.sizes, tabulate_connectivity(self.connectivity)
-        if sizes is not None:
-            for name in ("volume", "lateral_area", "apical_area", "basal_area"):
-                columns[f"model_{name}"] = np.asarray(getattr(sizes, name))
+        table = tabulate_connectivity(self.connectivity)
+        columns |= {f"model_{name}": sizes for name, sizes in self.sizes.items()}
         columns |= {f"model_{name}": table[name] for name in measured if name in table}
         columns |= {"model_is_end": self.connectivity.is_end}
         return columns | {"at_border": flag, "beside_gap": self.beside_gap}
@@ -101,20 +107,20 @@ class TissueFit:
 
 
 def fit_tissue(image: Any, spacing: Any, shape: str = "tube") -> TissueFit:
-    """Fit a tube and its backbones to a segmented image (paper, Definition 3, inverted).
+    """Fit a domain and its backbones to a segmented image (paper, Definition 3, inverted).
 
-    The tube is fitted robustly to the surface of all labels. The backbones are then chosen such that points on the wall
-    between cells i and j are at equal distance from both, d_i(x)^2 = d_j(x)^2: a sparse robust least-squares problem
-    that starts from the centroids of the cells. Isolated voxels are removed first, and lines of label 0 between cells,
-    as left by a watershed, are closed. Cells that were not segmented (label 0) are tolerated: in the model their
-    neighbors fill the gap and are flagged in `beside_gap`. If the border of the image cuts the tissue, the tube extends
+    The domain is fitted robustly to the surface of all labels. The backbones are then chosen such that points on the
+    wall between cells i and j are at equal distance from both, d_i(x)^2 = d_j(x)^2: a sparse robust least-squares
+    problem that starts from the centroids of the cells. Isolated voxels are removed first, and lines of label 0 between
+    cells, as left by a watershed, are closed. Cells that were not segmented (label 0) are tolerated: in the model their
+    neighbors fill the gap and are flagged in `beside_gap`. If the border of the image cuts the tissue, a tube extends
     beyond it to contain the backbones of the cells there. A warning is issued if fewer than 80 % of the labeled voxels
     agree.
 
     Args:
         image: Label image with axes (z, y, x): integers of at least 0, with 0 outside the tissue.
         spacing: Sides (dz, dy, dx) of a voxel, in any length unit.
-        shape: Shape of the domain: "tube", the only one so far and the default.
+        shape: Shape of the domain: "tube" (the default), "sphere" or "ellipsoid", the latter two closed around a lumen.
 
     Returns:
         A `TissueFit` with the domain, the backbones, their location in the image, and the agreement with the image.
@@ -152,7 +158,8 @@ def fit_tissue(image: Any, spacing: Any, shape: str = "tube") -> TissueFit:
     voxels, marks = draw_labels(domain, positions, labels, frame, sizes, given.shape)
     beside = _find_beside(voxels, cleaned, labels)
     cells = measure_labels(cleaned, sizes[::-1], np.where(marks == INSIDE, 0, marks))
-    fit = TissueFit(domain, positions, labels, frame, voxels.astype(given.dtype), cells, beside, {})
+    fit = TissueFit(domain, positions, labels, frame, voxels.astype(given.dtype), cells, beside, {}, {})
+    fit.sizes.update(_sizes(fit, sizes, marks))
     fit.report.update(_report(fit, given))
     if fit.report["voxels_same"] < POOR:
         told = (
@@ -184,15 +191,29 @@ def _wall_points(dense: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"],
     return WallPoints(frame.to_domain(faces.middle * sizes), faces.labels - 1, areas)
 
 
+def _sizes(
+    fit: TissueFit, sides: Float[np.ndarray, "3"], marks: Int[np.ndarray, "z y x"]
+) -> dict[str, Float[np.ndarray, " n"]]:
+    """The sizes of the cells of the model, in an image with these sides of a voxel and marks of its background."""
+    if isinstance(fit.domain, Tube):
+        traced = fit.connectivity.sizes
+        return {} if traced is None else {name: np.asarray(getattr(traced, name)) for name in _SIZES}
+    drawn = measure_labels(fit.voxels, sides[::-1], np.where(marks == INSIDE, 0, marks))
+    sizes = {name: np.zeros(len(fit.labels)) for name in _SIZES}
+    for name, column in sizes.items():
+        column[np.searchsorted(fit.labels, drawn.labels)] = getattr(drawn, name)
+    return sizes
+
+
 def _report(fit: TissueFit, given: Int[np.ndarray, "z y x"]) -> dict[str, float]:
     """How well a fit describes the image."""
     labeled, modeled = given > 0, fit.voxels > 0
     mine = {tuple(pair) for pair in fit.labels[fit.connectivity.contacts.pairs].tolist()}
     seen = {tuple(pair) for pair in fit.cells.pairs.tolist()}
-    sizes, whole = fit.connectivity.sizes, ~(fit.cells.at_border | fit.beside_gap)
+    whole = ~(fit.cells.at_border | fit.beside_gap)
     error = math.nan
-    if sizes is not None and whole.any():
-        off = (np.asarray(sizes.volume) - fit.cells.volume)[whole] / fit.cells.volume.mean()
+    if fit.sizes and whole.any():
+        off = (fit.sizes["volume"] - fit.cells.volume)[whole] / fit.cells.volume.mean()
         error = float(np.sqrt((off**2).mean()))
     return {
         "voxels_same": float((fit.voxels == given)[labeled].mean()),

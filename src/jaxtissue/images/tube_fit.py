@@ -19,7 +19,7 @@ BEYOND = 4.0  # voxels on either side of a surface that decide where it is
 NO_TUBE = "the labels do not enclose a lumen along any axis; give an image of a tube"
 
 
-class _Surface(NamedTuple):
+class Surface(NamedTuple):
     """Points of the tissue's surface, normals that point out of it, and areas."""
 
     points: Float[np.ndarray, "f 3"]
@@ -41,7 +41,7 @@ def fit_tube(image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"]) -> 
     Raises:
         ValueError: If the labels enclose no lumen along any axis.
     """
-    surface = _find_surface(image, sizes)
+    surface = find_surface(image, sizes)
     voxels = np.argwhere(image > 0)[:, ::-1] * sizes
     middle = voxels.mean(axis=0)
     spreads = [surface.normals.T * surface.areas @ surface.normals, np.cov((voxels - middle).T)]
@@ -53,16 +53,17 @@ def fit_tube(image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"]) -> 
     return _place(image, sizes, Frame(center, frame_of_axis(along)), radii)
 
 
-def _find_surface(image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"]) -> _Surface:
+def find_surface(image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"]) -> Surface:
+    """The surface between labels and background, at `MANY` of its faces at most."""
     faces = find_faces((image > 0).astype(np.int8))
     chosen = np.random.default_rng(0).permutation(len(faces.axis))[:MANY]
     normals = face_normals(faces, sizes, chosen)
     some = faces.where(chosen)
-    return _Surface(some.middle * sizes, -normals, face_areas(some, normals, sizes))
+    return Surface(some.middle * sizes, -normals, face_areas(some, normals, sizes))
 
 
 def _fit_axis(
-    surface: _Surface, along: Float[np.ndarray, "3"], center: Float[np.ndarray, "3"], step: float
+    surface: Surface, along: Float[np.ndarray, "3"], center: Float[np.ndarray, "3"], step: float
 ) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3"], Float[np.ndarray, "2"]]:
     """How badly a tube fits whose axis was near `along` at first, its axis, a point on it, and the two radii.
 
@@ -108,19 +109,19 @@ def _place(
     if not (wall & full).any():
         raise ValueError(NO_TUBE)
     low, high = axial[wall & full].min(), axial[wall & full].max()
-    first = _border(axial[wall & (axial < low + margin)], full[wall & (axial < low + margin)], low - reach)
-    last = -_border(-axial[wall & (axial > high - margin)], full[wall & (axial > high - margin)], -high - reach)
+    first = find_border(axial[wall & (axial < low + margin)], full[wall & (axial < low + margin)], low - reach)
+    last = -find_border(-axial[wall & (axial > high - margin)], full[wall & (axial > high - margin)], -high - reach)
     between = (axial > first + margin / 4) & (axial < last - margin / 4)
     inner, outer = (between & (np.abs(radius - size) < min(margin, middle - radii[0])) for size in radii)
-    apical = _border(radius[inner], full[inner], float(radii[0]))
-    basal = -_border(-radius[outer], full[outer], -float(radii[1]))
+    apical = find_border(radius[inner], full[inner], float(radii[0]))
+    basal = -find_border(-radius[outer], full[outer], -float(radii[1]))
     if not 0 < apical < basal:
         raise ValueError(NO_TUBE)
     origin = frame.to_image(np.array([[first, 0.0, 0.0]]))[0]
     return Tube(last - first, apical, basal), Frame(origin, frame.axes)
 
 
-def _border(place: Float[np.ndarray, " v"], full: np.ndarray, default: float) -> float:
+def find_border(place: Float[np.ndarray, " v"], full: np.ndarray, default: float) -> float:
     """Above which place the fewest voxels are background, and below it tissue; the default if all are tissue."""
     order = np.argsort(place)
     place, full = place[order], full[order]
