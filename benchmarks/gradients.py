@@ -3,10 +3,12 @@
     python benchmarks/gradients.py
 
 For random directions of all backbones: the cosine of the derivatives by `tissue_energy` and by differences, of the
-volume term of the paper's energy and of the sum of all lateral areas. Times of
-"traced" lack the tracing, since edges are kept. Writes benchmarks/results/gradients.json.
+volume term of the paper's energy and of the sum of all lateral areas. Times are the processor's, so that other work on
+the machine counts little; those of "traced" lack the tracing, since edges are kept. Writes
+benchmarks/results/gradients.json. Pin it to one core: `taskset -c 0`.
 """
 
+import os
 import time
 from typing import Any
 
@@ -57,13 +59,13 @@ def measured(name: str, size: str, energy: str) -> dict[str, Any]:
 
 
 def median_seconds(function: Any, place: jax.Array) -> float:
-    """Median of five calls, after one that compiles."""
+    """Median of eleven calls, after one that compiles."""
     jax.block_until_ready(function(place))
     seconds = []
-    for _ in range(5):
-        begin = time.perf_counter()
+    for _ in range(11):
+        begin = time.process_time()
         jax.block_until_ready(function(place))
-        seconds.append(time.perf_counter() - begin)
+        seconds.append(time.process_time() - begin)
     return float(np.median(seconds))
 
 
@@ -73,4 +75,5 @@ if __name__ == "__main__":
     rows = [
         measured(name, size, energy) for name in NAMES for size in ("standard", "fine", "traced") for energy in ENERGIES
     ]
-    common.write(path, {"directions": DIRECTIONS, "rows": rows})
+    load = {"load_average": os.getloadavg(), "cores": len(os.sched_getaffinity(0))}
+    common.write(path, {"directions": DIRECTIONS} | load | {"rows": rows})

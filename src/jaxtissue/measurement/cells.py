@@ -21,7 +21,7 @@ from jaxtissue.measurement.axial_lines import (
 )
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Lines
-from jaxtissue.measurement.walls import BOUNDARY, Walls, bounding_neighbor, facing, strips, walls
+from jaxtissue.measurement.walls import BOUNDARY, Walls, bounding_neighbor, facing, smooth_strips, strips, walls
 
 BLOCK = 48  # cells measured at once, whole vectors of 16; of 64 or 128 rows evict each other from the cache
 
@@ -84,7 +84,10 @@ def integrate(wall: Walls, step: Array, lines: Lines, truth: Array, smooth: bool
 
     def summed(rows: slice, weights: Array, tilt: Array) -> tuple[Array, Array]:
         part = jax.tree.map(lambda table: table[rows], wall)
-        sizes = fusion_barrier(lambda: strips(part, tilt[rows], step[rows], smooth), truth)
+        if smooth:
+            sizes = smooth_strips(part, tilt[rows], step[rows], truth)
+        else:
+            sizes = fusion_barrier(lambda: strips(part, tilt[rows], step[rows]), truth)
         weights = (weights * radius)[rows][:-1].astype(sizes.dtype)
         total = jnp.matmul(weights, sizes, precision=jax.lax.Precision.HIGHEST)
         return total.real, total.imag

@@ -5,6 +5,8 @@ and the neighbors that bound it. Where one neighbor takes over from the next bet
 so that derivatives of areas are those of the true areas as edges move.
 """
 
+import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -18,6 +20,8 @@ from jaxtissue.measurement.adhesion import Adhesion
 from jaxtissue.measurement.axial_lines import (
     LEVEL,
     BackboneCoords,
+    LineFrame,
+    RelativeCoords,
     backbone_coords,
     coords_by_side,
     pick,
@@ -27,7 +31,7 @@ from jaxtissue.measurement.axial_lines import (
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.cells import BLOCK, integrate, through_windows
 from jaxtissue.measurement.quadrature import Lines
-from jaxtissue.measurement.walls import BOUNDARY, bounding_neighbor, wall_forms, walls
+from jaxtissue.measurement.walls import BOUNDARY, Walls, bounding_neighbor, is_level, wall_forms, walls
 
 SPARE = 2  # windows for which there is room, per cell
 LEAST = 1e-12  # of squares, below which roots are not differentiated
@@ -110,7 +114,7 @@ def smooth_sizes(
         truth = own.axial[0] > -1
         grid = window_in_frame(lines, positions.dtype, shift, truth)
         half, turn = _facing_coords(own, others, here, tube)
-        wall = wall_forms(~here, half, turn, ends, grid, tube, smooth=True)
+        wall = _forms(~here, half, turn, ends, grid, tube)
         if adhesion is not None:
             wall = wall._replace(area=wall.area * adhesion.between(cells, jnp.where(here, rival, cells)))
         return integrate(wall, lines.step(positions.dtype, shift), lines, truth, smooth=True)
@@ -125,6 +129,17 @@ def smooth_sizes(
     sizes, surfaces = totals[:2], totals[2:]
     sizes = [jnp.where(windows.overflows, jnp.nan, size) for size in sizes]
     return CellGeometry(*sizes, *surfaces[::2], *surfaces[1::2])
+
+
+def _forms(end: Array, half: Array, turn: Array, ends: Array, grid: LineFrame, tube: Tube) -> Walls:
+    """The walls, by forms whose derivatives begin from these arguments again: tables kept take longer to read."""
+    given = end, half, turn, ends, grid, tube
+    level = is_level(RelativeCoords(half, half, turn.real, turn.imag), tube).any()
+
+    def forms(some_level: bool) -> Callable[..., Walls]:
+        return jax.checkpoint(functools.partial(wall_forms, some_level=some_level, smooth=True), prevent_cse=False)
+
+    return jax.lax.cond(level, forms(True), forms(False), *given)
 
 
 def _facing_coords(own: BackboneCoords, others: BackboneCoords, here: Array, tube: Tube) -> tuple[Array, Array]:

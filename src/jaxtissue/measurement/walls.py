@@ -6,6 +6,7 @@ h = |x_j - x_i| / 2 + (f_j - f_i) / (2 |x_j - x_i|) ahead (x_j > x_i) and behind
 two lines each side is taken as the two tangents of the walls h(t), whose slope and tilt are closed forms.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -21,6 +22,8 @@ BOUNDARY = -1
 CHUNK = 24  # most candidates in one unrolled loop: of 8 it compiles 2 s sooner, and takes twice as long
 PARALLEL = 1e-6  # of a reach: tangents that part by less between two lines are parallel
 UNROLLED = 48  # most candidates whose loops follow each other without a loop around them
+
+Pair = tuple[Array, Array]  # of a line and the next
 
 
 class Walls(NamedTuple):
@@ -198,17 +201,38 @@ def towards_plane(
     return slope, jnp.where(level, 0, tilt)
 
 
-def strips(wall: Walls, tilt: Array, step: Array, smooth: bool = False) -> Complex[Array, "strips cells"]:
+def strips(wall: Walls, tilt: Array, step: Array) -> Complex[Array, "strips cells"]:
     """Between each line and the next, per cell: layer area / r + i x the integral of the walls' `tilt` / r.
 
     Each side is the two walls' tangents up to where they meet. So three pieces, from 0 over the two meeting
     points to 1, each with a width linear from end to end: its positive part is integrated. Two lines outside
     the cell could only show a phantom of it and count nothing. One complex number, as two results would each
-    repeat the work. If `smooth`, parallel tangents meet nowhere, so that derivatives stay finite.
+    repeat the work.
     """
-    step = step[:-1]
-    reach = wall.reach[:-1], wall.reach[1:]
-    rise = (wall.slope[:-1] * step[:, None], wall.slope[1:] * step[:, None])
+    return _between(_pair(wall.reach), _pair(wall.slope), _pair(tilt), step[:-1])
+
+
+def smooth_strips(wall: Walls, tilt: Array, step: Array, truth: Array) -> Complex[Array, "strips cells"]:
+    """The same where parallel tangents meet nowhere, so that derivatives stay finite.
+
+    Derivatives go back to the two lines behind a barrier: else those by a line are found again in each of its strips.
+    """
+
+    @functools.partial(jax.checkpoint, prevent_cse=False)
+    def between(tangent: Pair, tilt: Pair, step: Array) -> Array:
+        first, last = tangent
+        return _between((first.real, last.real), (first.imag, last.imag), tilt, step, smooth=True)
+
+    pairs = _pair(wall.tangent), _pair(tilt)
+    return fusion_barrier(lambda: between(*pairs, step[:-1]), truth)
+
+
+def _pair(table: Array) -> Pair:
+    return table[:-1], table[1:]
+
+
+def _between(reach: Pair, slope: Pair, tilt: Pair, step: Array, smooth: bool = False) -> Array:
+    rise = (slope[0] * step[:, None], slope[1] * step[:, None])
     turn = rise[0] - rise[1]
     if smooth:
         apart, meets = reach[1] - rise[1] - reach[0], jnp.abs(turn) > PARALLEL * (jnp.abs(reach[0]) + jnp.abs(reach[1]))
@@ -227,12 +251,12 @@ def strips(wall: Walls, tilt: Array, step: Array, smooth: bool = False) -> Compl
     bases, rises, tilts = (
         tangents((reach[0], reach[1] - rise[1])),
         tangents(rise),
-        tangents((tilt[:-1], tilt[1:])),
+        tangents(tilt),
     )
     inside = (reach[0][:, 0] + reach[0][:, 1] > 0) | (reach[1][:, 0] + reach[1][:, 1] > 0)
     layer_area = wall_size = jnp.zeros(())
-    for start, end, base, slope, leaning in zip(cuts, cuts[1:], bases, rises, tilts, strict=False):
-        first, last = base + slope * start, base + slope * end
+    for start, end, base, climb, leaning in zip(cuts, cuts[1:], bases, rises, tilts, strict=False):
+        first, last = base + climb * start, base + climb * end
         spread = jnp.abs(first) + jnp.abs(last)
         filled = (first + last + spread) / 2
         share = (end - start) * filled / jnp.where(spread > 0, spread, 1)
