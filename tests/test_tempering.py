@@ -55,7 +55,7 @@ def test_tempering_finds_the_energies_of_single_chains(start, tempered):
         states = [state for state, _, _ in played]
         energies += zip(*([record.energy for record in records] for _, records, _ in played), strict=True)
     (mean, error), (expected, its_error) = mean_and_error(tempered.energies), mean_and_error(np.array(energies))
-    # `benchmarks/tempering.py` has longer runs
+    # `benchmarks/samplers.py` has longer runs
     assert (np.abs(mean - expected) < 4 * np.hypot(error, its_error)).all(), (mean, error, expected, its_error)
     assert (np.diff(mean) > 0).all()  # exchanges the wrong way would turn the temperatures round
 
