@@ -76,6 +76,9 @@ class Domain(eqx.Module):
         _, (second, _) = jax.jvp(place, (y,), ((none, one),))
         return Frame(point, first, second, upward)
 
+    def __repr__(self) -> str:
+        return eqx.tree_pformat(self, width=1000, short_arrays=False)
+
     @usual_modes()
     def embed(self, positions: Float[Array | np.ndarray, "n d"]) -> Backbones:
         """Convert positions to backbones in Cartesian coordinates: segments from the apical to the basal surface.
