@@ -16,12 +16,10 @@ from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.vectors import components
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.sections.cells import MANY_SLOTS
-from jaxtissue.sections.crowd import Crowd, extended, first_lists, gather_crowd, missing
+from jaxtissue.sections.crowd import STEP, Crowd, extended, first_lists, gather_crowd, missing, padded
 from jaxtissue.sections.polygons import Rule
 
 ROUNDS = 8  # of looking for missing neighbors
-WIDE = 48  # candidates that complete lists have room for at least, where there are as many
-STEP = 16  # lists are padded to multiples of so many, so that fewer programs are compiled
 FEW = 24  # candidates of a cell during a span, if more are not sides or near it
 MARGIN = 0.25  # mean lengths of sections by which the line of such a candidate may miss the cell
 
@@ -76,7 +74,7 @@ def survey(
         cell, slot = np.nonzero(also >= 0)
         lists = extended(lists, np.stack([cell, also[cell, slot]], axis=1))
     while True:
-        rivals = _padded(lists.T, n * len(scene.domain.base.images()) - 1)
+        rivals = padded(lists, scene.domain).T.astype(np.int32)
         near = Surroundings(rivals, *[np.zeros((n, 1), np.int32)] * 3)
         (found,) = batch.run(survey_cells, [(positions, replace(scene, near=near))], light=True)
         if (found.state.cells.spare > 0).any() and scene.rule.slots < MANY_SLOTS:
@@ -94,11 +92,6 @@ def survey(
 def with_slots(scene: Scene) -> Scene:
     """The scene with room for as many edges as a section can have."""
     return replace(scene, rule=scene.rule._replace(slots=MANY_SLOTS))
-
-
-def _padded(lists: Int[np.ndarray, "n q"], most: int) -> Int[np.ndarray, "n q"]:
-    width = -(-max(lists.shape[1], min(WIDE, most)) // STEP) * STEP
-    return np.pad(lists, ((0, 0), (0, width - lists.shape[1])), constant_values=-1).astype(np.int32)
 
 
 class Shortlists:

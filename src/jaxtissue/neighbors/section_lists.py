@@ -1,18 +1,19 @@
 """Complete lists for sections: they grow until no corner of a cell is nearer to a backbone that is not listed."""
 
-import functools
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
+from jaxtissue.compilation.batching import Batch
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.nodes import as_nodes
 from jaxtissue.geometry.vectors import components
 from jaxtissue.sections.cells import MANY_SLOTS, RULE, CellSizes, Layers, cell_sections, cell_sizes, corner_points
-from jaxtissue.sections.crowd import Crowd, as_array, extended, first_lists, gather_bent, gather_crowd, missing
+from jaxtissue.sections.crowd import Crowd, extended, first_lists, gather_bent, gather_crowd, missing, padded
 from jaxtissue.sections.polygons import Rule, Sections
 
 ROUNDS = 8  # of looking for missing neighbors
@@ -30,13 +31,19 @@ class Measured(NamedTuple):
     rule: Rule  # with slots for all edges
 
 
-@functools.partial(jax.jit, static_argnames="rule")
+class _Plan(eqx.Module):
+    """On which layers cells are measured, and how."""
+
+    layers: Layers
+    rule: Rule = eqx.field(static=True)
+
+
 def _measure(
-    domain: Domain, positions: Array | np.ndarray, lists: Array, layers: Layers, rule: Rule
+    domain: Domain, positions: Array, lists: Array, plan: _Plan
 ) -> tuple[Sections, CellSizes, tuple[Array, Array]]:
-    sections = cell_sections(domain, jnp.asarray(positions), lists, jnp.asarray(layers.heights), rule)
+    sections = cell_sections(domain, positions, lists, jnp.asarray(plan.layers.heights), plan.rule)
     points, is_point = corner_points(sections)
-    return sections, cell_sizes(domain, sections, layers, lists.shape[0]), (jnp.stack(points, axis=-1), is_point)
+    return sections, cell_sizes(domain, sections, plan.layers, lists.shape[0]), (jnp.stack(points, axis=-1), is_point)
 
 
 def crowd_of(domain: Domain, positions: np.ndarray) -> Crowd:
@@ -69,16 +76,16 @@ def look_through(
     domain: Domain, positions: np.ndarray, lists: Int[np.ndarray, "q n"], layers: Layers, rule: Rule
 ) -> tuple[Measured, Int[np.ndarray, "m 2"]]:
     """Measure sections on lists as they are, and the pairs of a cell and a backbone that its list lacks."""
-    n = len(positions)
-    layers = jax.tree.map(jnp.asarray, layers)
-    sections, sizes, (points, is_point) = _measure(domain, positions, as_array(lists), layers, rule)
-    if (np.asarray(sections.spare) > 0).any() and rule.slots < MANY_SLOTS:
+    n, lists = len(positions), padded(lists, domain)
+    call = domain, positions, lists.astype(np.int32), _Plan(layers, rule)
+    ((sections, sizes, (points, is_point)),) = Batch().run(_measure, [call], light=True)
+    if (sections.spare > 0).any() and rule.slots < MANY_SLOTS:
         return look_through(domain, positions, lists, layers, rule._replace(slots=MANY_SLOTS))
-    count = layers.heights.shape[0]
+    count = len(layers.heights)
     # straight backbones near each other on these layers are near in between; bent ones need not be
     shown = sorted({0, count // 3, count - 2, count - 1}) if positions.ndim == 2 else list(range(count))
-    is_point = np.asarray(is_point)[:, :, shown]
+    is_point = is_point[:, :, shown]
     cells = np.broadcast_to(np.arange(n), is_point.shape)[is_point]
     crowd = crowd_of(domain, positions)
-    pairs, unproved = missing(crowd, lists, np.asarray(points, float)[:, :, shown][is_point], cells)
+    pairs, unproved = missing(crowd, lists, points.astype(float)[:, :, shown][is_point], cells)
     return Measured(positions, lists, layers, sections, sizes, unproved, rule), pairs

@@ -18,6 +18,8 @@ SAMPLES = 9  # points of a backbone that are searched
 FOUND = 10, 160  # of these that are looked at round a corner, first, and where so few are not enough
 ROUNDING = 1e-4  # of its distance, by which a corner may be nearer to a candidate that is not listed
 CHUNK = 8192  # points that are looked at together
+WIDE = 48  # candidates that complete lists have room for at least, where there are as many
+STEP = 16  # these are padded to multiples of so many
 ROUND_UP = 8  # lists have multiples of so many candidates, so that fewer programs are compiled
 
 
@@ -141,6 +143,13 @@ def extended(lists: Int[np.ndarray, "q n"], pairs: Int[np.ndarray, "m 2"]) -> In
     more = np.full((n, slot.max(initial=-1) + 1), -1)
     more[cell, slot] = other
     return _as_lists(np.concatenate([lists.T, more], axis=1), n)
+
+
+def padded(lists: Int[np.ndarray, "q n"], domain: Domain) -> Int[np.ndarray, "q n"]:
+    """The lists with room for many candidates, where there are as many backbones: so few programs serve all lists."""
+    most = lists.shape[1] * len(domain.base.images()) - 1
+    width = -(-max(len(lists), min(WIDE, most)) // STEP) * STEP
+    return np.pad(lists, ((0, width - len(lists)), (0, 0)), constant_values=-1)
 
 
 def _distance(starts: np.ndarray, ways: np.ndarray, point: np.ndarray) -> np.ndarray:

@@ -71,18 +71,13 @@ def cut(planes: HalfPlanes, anchor: Array) -> Cuts:
         return jax.lax.complex(start, end)
 
     found = jax.lax.complex(jnp.full_like(c, -FAR), jnp.full_like(c, FAR))
-    whole = 0
-    if lines > CHUNK:
-        whole = lines - lines % CHUNK
-        chunks = jax.tree.map(lambda table: table[:whole].reshape(-1, CHUNK, *table.shape[1:]), planes)
-        first = jnp.arange(0, whole, CHUNK, dtype=integer)
+    at_once = max(k for k in range(1, min(lines, CHUNK) + 1) if lines % k == 0)  # no rest, which is compiled apart
+    chunks = jax.tree.map(lambda table: table.reshape(-1, at_once, *table.shape[1:]), planes)
 
-        def turn(found: Array, chunk: tuple[Array, HalfPlanes]) -> tuple[Array, None]:
-            return fusion_barrier(lambda: several(found, *chunk), anchor), None
+    def turn(found: Array, chunk: tuple[Array, HalfPlanes]) -> tuple[Array, None]:
+        return fusion_barrier(lambda: several(found, *chunk), anchor), None
 
-        found, _ = jax.lax.scan(turn, found, (first, chunks))
-    if whole < lines:
-        found = fusion_barrier(lambda: several(found, whole, jax.tree.map(lambda table: table[whole:], planes)), anchor)
+    found, _ = jax.lax.scan(turn, found, (jnp.arange(0, lines, at_once, dtype=integer), chunks))
     start, end = found.real, found.imag
     before, after = ((recast(side, integer) & ~least).astype(jnp.int32) for side in (start, end))
     return Cuts(start, end, jnp.minimum(before, lines - 1), jnp.minimum(after, lines - 1))

@@ -34,7 +34,7 @@ def measure_domain_tissue(
     place = as_domain_positions(positions, domain, bent=True)
     layers = plan_layers(section_layers(resolution))
     found = find_sections(domain, place, layers)
-    sizes, defect = found.sizes, tiling_defect(domain, found)
+    sizes, defect = jax.tree.map(jnp.asarray, found.sizes), tiling_defect(domain, found)
     errors = told_errors(domain, found, defect) if refine else [None, None]
     on_surfaces = [sizes.areas[0], sizes.areas[1], sizes.perimeters[0], sizes.perimeters[1]]
     cells = CellGeometry(
