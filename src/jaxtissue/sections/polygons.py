@@ -22,6 +22,7 @@ SHARP = 0.03  # the sine of the angle of two walls below which their corner stay
 STEEP = 0.3  # the least cosine between an edge and its chord
 STRIDE = 0.3  # of the way from the backbone to a corner, or of a chord: points move no farther
 LEAST_SLOPE = 1e-6
+ASTRAY = 1e-3  # of squares of distances, by which corners may be off their walls
 
 
 class Rule(NamedTuple):
@@ -32,12 +33,14 @@ class Rule(NamedTuple):
         passes: How often the walls are taken as lines, each time nearer to their edges.
         steps: How many steps of Newton's method corners and middles take to the walls.
         rays: How many points between the backbone and the rim are looked at, 1 or 2.
+        best: Whether an earlier pass is taken where the last one has gone astray.
     """
 
     slots: int = 14
     passes: int = 2
     steps: int = 1
     rays: int = 2
+    best: bool = False
 
 
 class Sections(NamedTuple):
@@ -98,7 +101,31 @@ class Polygon(NamedTuple):
 def measure_sections(domain: Domain, view: View, rule: Rule) -> Sections:
     """Measure the section of each cell on each layer."""
     polygons = find_polygons(domain, view, rule)
-    return measure_polygons(domain, view, rule, jax.tree.map(lambda table: table[-1], polygons))
+    last = jax.tree.map(lambda table: table[-1], polygons)
+    return measure_polygons(domain, view, rule, _best(view, polygons) if rule.best else last)
+
+
+def _best(view: View, polygons: Polygon) -> Polygon:
+    """The last polygon of each section, or an earlier one whose corners are much nearer to its walls.
+
+    Chords of bent and nearly parallel walls may cut each other in the wrong order: then the next pass may be worse.
+    """
+
+    def off(corner: tuple[Array, Vector, Array]) -> Array:
+        """How much nearer or farther than the own backbone the nearest rival is, as squares, in parts."""
+        is_edge, point, away = corner
+        theirs = view.rivals.offset(point)
+        nearest = jnp.where(view.is_there, dot(theirs, theirs), FAR).min(axis=0)
+        return jnp.where(is_edge, jnp.abs(nearest / jnp.where(is_edge, away, 1) - 1), 0)
+
+    corners = polygons.packed.is_edge, polygons.point, polygons.away
+    astray = jax.lax.map(lambda these: jax.lax.map(off, these).sum(axis=0), corners)
+    last = astray.shape[0] - 1
+    which = jnp.where(astray.min(axis=0) < astray[-1] - ASTRAY, astray.argmin(axis=0), last)
+
+    return jax.tree.map(
+        lambda table: jnp.select([which == k for k in range(last)], list(table[:last]), table[-1]), polygons
+    )
 
 
 def measure_polygons(domain: Domain, view: View, rule: Rule, polygon: Polygon) -> Sections:

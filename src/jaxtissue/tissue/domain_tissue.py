@@ -15,7 +15,7 @@ from jaxtissue.geometry.domains import Domain
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Resolution, section_layers
 from jaxtissue.neighbors.section_lists import Measured, crowd_of, find_sections
-from jaxtissue.sections.cells import corner_points, plan_layers
+from jaxtissue.sections.cells import RULE, corner_points, plan_layers
 from jaxtissue.sections.crowd import overlaps
 from jaxtissue.tissue.refinement import LIMITS, over_limits
 
@@ -24,6 +24,7 @@ LAYERS = 0.85  # of the difference of two rules
 EDGES = (0.05, 0.5)  # of what edges may add to volumes and lateral areas, as `sections.rims.beyond` gives it
 OTHERS = 1.5  # medians over the cells, since what a cell shows of its own error is small by chance in some
 FLOOR = (2e-5, 4e-5)  # of the mean cell: corners after a step of Newton's method, and rounding
+THOROUGH = RULE._replace(passes=4, best=True)
 DEFECT = 2e-3  # of a layer, by which the sections of all cells may miss it without a warning
 
 
@@ -33,7 +34,7 @@ def measure_domain_tissue(
     """Measure every cell of a tissue on any domain, as `measure_tissue` says."""
     place = as_domain_positions(positions, domain, bent=True)
     layers = plan_layers(section_layers(resolution))
-    found = find_sections(domain, place, layers)
+    found = find_sections(domain, place, layers, THOROUGH)
     sizes, defect = jax.tree.map(jnp.asarray, found.sizes), tiling_defect(domain, found)
     errors = told_errors(domain, found, defect) if refine else [None, None]
     on_surfaces = [sizes.areas[0], sizes.areas[1], sizes.perimeters[0], sizes.perimeters[1]]

@@ -2,7 +2,8 @@
 
 Two cells are taken to touch where the polygons of both say so. Walking round from cell to cell gives the junctions;
 where walls too short to be sure of are left out, more than three cells meet, and any of their diagonals is taken: the
-junctions are put right afterwards, by flips.
+junctions are put right afterwards, by flips. Over a sphere, where walls may bend so much that their polygons make up no
+surface, `sampled_map` finds the map.
 """
 
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ from jaxtissue.geometry.base_surfaces import Rectangle, UnitSphere
 from jaxtissue.topology.junctions import Junctions, joined
 from jaxtissue.topology.layer_gaps import LayerGaps
 from jaxtissue.topology.layer_polygons import Polygons, complete_polygons
+from jaxtissue.topology.sampled_map import sampled_map
 
 Base = Rectangle | UnitSphere
 SHORTEST = (0.0, 1e-6, 1e-4, 1e-2, 0.05)  # in mean widths: shorter walls are left out, until the map is one
@@ -39,7 +41,18 @@ def _names(base: Base, lists: Int[np.ndarray, "n q"], found: Polygons) -> Int[np
 
 
 def first_map(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], height: float) -> Junctions:
-    """The junctions of a layer, near to where they are. Raises `ValueError` where the sections make up no surface."""
+    """The junctions of a layer, near to where they are. Raises `ValueError` where the cells make up no surface."""
+    junctions = _map_of_polygons(gaps, positions, height)
+    if isinstance(junctions, str):
+        if not isinstance(gaps.base, UnitSphere):
+            raise ValueError(junctions)
+        junctions = sampled_map(gaps, positions, height)
+    junctions.at[:], junctions.since[:] = height, height
+    return junctions
+
+
+def _map_of_polygons(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], height: float) -> Junctions | str:
+    """The junctions of the polygons of a layer, or why these make up no surface."""
     refusal = f"contacts can't be found: at height {height:g} the sections of the cells leave gaps or overlap; {ROUND}"
     for passes in PASSES:
         found, lists = complete_polygons(gaps, positions, height, passes)
@@ -51,9 +64,8 @@ def first_map(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], height: floa
         for shortest in SHORTEST:
             junctions = _walk(gaps.base, found, names, shortest * gaps.width)
             if junctions is not None:
-                junctions.at[:], junctions.since[:] = height, height
                 return junctions
-    raise ValueError(refusal)
+    return refusal
 
 
 class _Ways(NamedTuple):
