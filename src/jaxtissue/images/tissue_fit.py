@@ -47,10 +47,10 @@ class TissueFit:
             a cell that was not segmented, booleans, shape [n].
         report: Agreement of model and image, numbers by name. `voxels_same`: fraction of the labeled voxels that have
             the same label in the model. `voxels_missing`: fraction of the model's voxels that have label 0 in the
-            image. `neighbors_kept`: fraction of the neighbor pairs in the image that are neighbors in the model.
-            `volume_error`: root-mean-square of the difference in volume, divided by the mean volume, over cells that
-            are neither at the border of the image nor next to a gap. `cells`, `cells_at_border`, `cells_beside_gap`:
-            numbers of cells.
+            image. `neighbors_kept`: fraction of the neighbor pairs in the image that are neighbors in the model, NaN if
+            `connectivity` is None. `volume_error`: root-mean-square of the difference in volume, divided by the mean
+            volume, over cells that are neither at the border of the image nor next to a gap. `cells`,
+            `cells_at_border`, `cells_beside_gap`: numbers of cells.
         sizes: `volume`, `lateral_area`, `apical_area` and `basal_area` of each cell of the model by name, shape [n]: in
             a tube from its traced edges, and empty if one could not be traced; in other domains measured in `voxels`,
             as those of the image are.
@@ -67,9 +67,18 @@ class TissueFit:
     sizes: dict[str, Float[np.ndarray, " n"]]
 
     @cached_property
-    def connectivity(self) -> Connectivity:
-        """Contacts, transition points and geometry of the cells of the model, a `Connectivity`."""
-        return find_connectivity(self.positions, self.domain)
+    def connectivity(self) -> Connectivity | None:
+        """Contacts and transition points of the cells of the model, a `Connectivity`.
+
+        None, with a warning, if they cannot be found on a sphere or an ellipsoid.
+        """
+        try:
+            return find_connectivity(self.positions, self.domain)
+        except ValueError as error:
+            if isinstance(self.domain, Tube):
+                raise
+            warnings.warn(f"contacts of the fitted cells are not computed: {error}", stacklevel=3)
+            return None
 
     def columns(self) -> dict[str, np.ndarray]:
         """Tabulate the cells, as measured in the image (prefix `image_`) and in the model (prefix `model_`).
@@ -86,10 +95,11 @@ class TissueFit:
         for name in ("label", "x", "y", "z"):
             measured.pop(name)
         columns |= {f"image_{name}": column for name, column in measured.items()}
-        table = tabulate_connectivity(self.connectivity)
         columns |= {f"model_{name}": sizes for name, sizes in self.sizes.items()}
-        columns |= {f"model_{name}": table[name] for name in measured if name in table}
-        columns |= {"model_is_end": self.connectivity.is_end}
+        if self.connectivity is not None:
+            table = tabulate_connectivity(self.connectivity)
+            columns |= {f"model_{name}": table[name] for name in measured if name in table}
+            columns |= {"model_is_end": self.connectivity.is_end}
         return columns | {"at_border": flag, "beside_gap": self.beside_gap}
 
     def to_pandas(self) -> Any:
@@ -196,7 +206,7 @@ def _sizes(
 ) -> dict[str, Float[np.ndarray, " n"]]:
     """The sizes of the cells of the model, in an image with these sides of a voxel and marks of its background."""
     if isinstance(fit.domain, Tube):
-        traced = fit.connectivity.sizes
+        traced = fit.connectivity.sizes if fit.connectivity else None
         return {} if traced is None else {name: np.asarray(getattr(traced, name)) for name in _SIZES}
     drawn = measure_labels(fit.voxels, sides[::-1], np.where(marks == INSIDE, 0, marks))
     sizes = {name: np.zeros(len(fit.labels)) for name in _SIZES}
@@ -208,7 +218,8 @@ def _sizes(
 def _report(fit: TissueFit, given: Int[np.ndarray, "z y x"]) -> dict[str, float]:
     """How well a fit describes the image."""
     labeled, modeled = given > 0, fit.voxels > 0
-    mine = {tuple(pair) for pair in fit.labels[fit.connectivity.contacts.pairs].tolist()}
+    pairs = fit.connectivity.contacts.pairs if fit.connectivity else np.empty((0, 2), int)
+    mine = {tuple(pair) for pair in fit.labels[pairs].tolist()}
     seen = {tuple(pair) for pair in fit.cells.pairs.tolist()}
     whole = ~(fit.cells.at_border | fit.beside_gap)
     error = math.nan
@@ -218,7 +229,7 @@ def _report(fit: TissueFit, given: Int[np.ndarray, "z y x"]) -> dict[str, float]
     return {
         "voxels_same": float((fit.voxels == given)[labeled].mean()),
         "voxels_missing": float((~labeled)[modeled].mean()) if modeled.any() else math.nan,
-        "neighbors_kept": len(mine & seen) / len(seen) if seen else math.nan,
+        "neighbors_kept": len(mine & seen) / len(seen) if seen and fit.connectivity else math.nan,
         "volume_error": error,
         "cells": len(fit.labels),
         "cells_at_border": int(fit.cells.at_border.sum()),

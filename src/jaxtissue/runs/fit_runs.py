@@ -39,9 +39,8 @@ def run_fit(path: Path, spacing: Any, shape: str, folder: Path, flat: bool = Fal
         write_json(folder / FRAME, _frame(fit, read.unit))
         storage.write_table(folder / CELLS, columns)
         write_json(folder / FIT, report | about | {"voxels": read.image.shape} | provenance())
-        leave_pictures(
-            TissueRecord(fit.positions, fit.domain, unit=read.unit or "", traced=fit.connectivity), folder, flat
-        )
+        tissue = TissueRecord(fit.positions, fit.domain, unit=read.unit or "", traced=fit.connectivity)
+        leave_pictures(tissue, folder, flat or fit.connectivity is None)
     return report
 
 
