@@ -14,6 +14,7 @@ from jaxtissue.measurement.quadrature import PRESETS, plan_lines, trace_lines
 from jaxtissue.minimization.relaxation import MINIMIZERS
 from jaxtissue.minimization.traced_energy import TracedEnergy
 from jaxtissue.minimization.tube_energy import TubeEnergy
+from jaxtissue.topology.traced_slopes import trace_tissue, traced_slopes
 
 WITH_GRADIENT = jax.jit(jax.value_and_grad(jt.tissue_energy), static_argnames="resolution")
 TUBE, CELLS = jt.Tube(length=16.0, apical_radius=2.0, basal_radius=5.0), 60
@@ -155,6 +156,22 @@ def test_volume_gradients_are_those_of_true_volumes(x64):
         expected.append((energy(place + step * way) - energy(place - step * way)) / (2 * step))
     cosine = np.dot(found, expected) / np.linalg.norm(found) / np.linalg.norm(expected)
     assert cosine > 0.9999  # the bar; measured 0.99999
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-6, 2e-5, 3e-4])
+def test_traced_gradients_hold_in_level_rings(apart):
+    """Walls along the axis, or nearly so, on either side of what is taken as level."""
+    rng, tube = np.random.default_rng(2), jt.Tube(4, 2, 4)
+    angle = np.tile(2 * np.pi * np.arange(9) / 9, 2) + rng.uniform(-0.05, 0.05, 18)
+    place = np.column_stack([np.repeat([1.1, 2.9], 9) + apart * rng.uniform(-1, 1, 18), angle])
+    weight, way = rng.normal(size=(2, 18)), np.column_stack([np.zeros(18), rng.normal(size=18)])
+
+    def value(step: float) -> float:
+        sizes = known(trace_tissue(place + step * way, tube)).sizes
+        return float(weight[0] @ np.asarray(sizes.volume) + weight[1] @ np.asarray(sizes.lateral_area))
+
+    slope = traced_slopes(known(trace_tissue(place, tube)).graph, *weight)
+    assert np.sum(slope * way) == pytest.approx((value(1e-4) - value(-1e-4)) / 2e-4, rel=1e-3)
 
 
 def test_lines_of_traced_tubes_are_those_of_tubes(dtype):

@@ -50,10 +50,10 @@ def tissue_energy(
         neighbors: Neighbor list valid for `positions`, from `NeighborList.allocate`.
         resolution: "draft", "standard" (the default) or "fine", or a `Resolution`; in a `Tube` also "traced". Then the
             energy is computed from the traced edges of the diagram, in 64 bits on the host, and reverse-mode
-            derivatives with respect to positions are those of the true volumes and areas, to about 6 digits, except
-            where neighboring backbones are at nearly the same axial position (1e-5 of a cell width apart): there they
-            can be wrong. This takes some milliseconds per cell. `neighbors` is not used, forward mode is not supported,
-            and derivatives with respect to dimensions of the tube and weights of adhesion are NaN.
+            derivatives with respect to positions are those of the true volumes and areas, to about 6 digits, or 3
+            where neighbors are at the same axial position. This takes some milliseconds per cell. `neighbors` is not
+            used, forward mode is not supported, and derivatives with respect to dimensions of the tube and weights of
+            adhesion are NaN.
 
     Returns:
         Energy of the tissue, a scalar. NaN if cells extend too far around the domain for the fixed size of the work

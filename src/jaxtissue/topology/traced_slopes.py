@@ -19,8 +19,8 @@ from jaxtissue.topology.edges import EdgeGraph, trace_edges
 from jaxtissue.topology.rims import BLOCK, LEVEL, SIDES, SLOPES, WEIGHTS, flow, nodes_on, primitive
 from jaxtissue.topology.traced_sizes import TracedSizes, traced_sizes
 
-STEP = 1e-4  # of the scale on which closed forms change: central differences err by its square
-APART = 1e-4  # of the axial distance of cells, by which level backbones are parted
+STEP = 1e-2  # of the scale on which closed forms change: differences of sixth order err by its sixth power
+APART = 8  # times as far as makes two backbones level, by which level ones are parted at most
 PARALLEL = 1e-12  # of the product of two slopes, below which their walls are taken as one
 
 
@@ -34,14 +34,16 @@ class Traced(NamedTuple):
 def trace_tissue(positions: Float[np.ndarray, "n 2"], tube: Tube) -> Traced | None:
     """Edges and sizes of all cells; None where edges could not be followed.
 
-    Backbones at the same axial position are parted by a ten-thousandth of a cell: their walls are parallel to the axis,
-    and P is infinite there.
+    Neighbors at the same axial position are parted, by little more than makes them level: their walls are parallel to
+    the axis, and P is infinite there. No wall of the tissue traced is level, since slopes leave such walls out.
     """
-    place = np.array(positions, float)
+    place, random = np.array(positions, float), np.random.default_rng(0)
     graph = trace_edges(place, tube)
-    if _is_level(graph.bisectors, np.concatenate([graph.edge_labels[:, [one, two]] for one, two, _ in SIDES])).any():
-        step = APART * float(tube.length) / len(place)
-        place[:, 0] += step * np.random.default_rng(0).uniform(-1, 1, len(place))
+    while len(pairs := _level_pairs(graph)):
+        cells = np.unique(pairs)
+        ends = np.stack([np.cos(place[pairs, 1]), np.sin(place[pairs, 1])])
+        step = APART * LEVEL * float(tube.apical_radius) * np.linalg.norm(ends[..., 0] - ends[..., 1], axis=0).max()
+        place[cells, 0] += step * random.uniform(-1, 1, len(cells))
         place[:, 0] = np.clip(place[:, 0], 0, float(tube.length))
         graph = trace_edges(place, tube)
     sizes = traced_sizes(graph, find_faces(graph), tube)
@@ -103,6 +105,11 @@ def _rim(point: Float[np.ndarray, "m 5 3"]) -> _Rim:
     return _Rim(point, radius, angle, *(np.einsum("ij,mj->mi", SLOPES, value) for value in (turn, radius)))
 
 
+def _level_pairs(graph: EdgeGraph) -> Int[np.ndarray, "m 2"]:
+    pairs = np.concatenate([graph.edge_labels[:, [one, two]] for one, two, _ in SIDES])
+    return pairs[_is_level(graph.bisectors, pairs)]
+
+
 def _is_level(bisectors: Bisectors, pair: Int[np.ndarray, "m 2"]) -> np.ndarray:
     gap = np.abs(bisectors.axial[pair[:, 1]] - bisectors.axial[pair[:, 0]])
     chord = np.hypot(*(table[pair[:, 1]] - table[pair[:, 0]] for table in (bisectors.cosine, bisectors.sine)))
@@ -130,11 +137,16 @@ def _by_parameters(
 
     none = np.zeros(rows)
     steps = [(STEP * gap, (none, none)), (none, (little, none)), (none, (none, little))]
-    found = []
-    for by, turns in steps:
-        ahead, back = summed(gap + by, turns), summed(gap - by, (-turns[0], -turns[1]))
-        found.append((ahead - back) / (2 * (by + turns[0] + turns[1])))
-    return found
+
+    def change(by: np.ndarray, turns: tuple[np.ndarray, np.ndarray], times: int) -> np.ndarray:
+        first, second = times * turns[0], times * turns[1]
+        return summed(gap + times * by, (first, second)) - summed(gap - times * by, (-first, -second))
+
+    return [
+        (45 * change(by, turns, 1) - 9 * change(by, turns, 2) + change(by, turns, 3))
+        / (60 * (by + turns[0] + turns[1]))
+        for by, turns in steps
+    ]
 
 
 def _add_sweeps(
