@@ -42,7 +42,7 @@ def test_times_stand_beside_the_papers():
 def test_runs_show_means_and_mark_the_paper_only_for_its_own_size(as_paper):
     table = runs() | {"rounds_so_far": 40 * runs()["sweep"]}
     figure, axes = plot_runs(table, as_paper)
-    assert rendered(figure) and all("length units" in panel.get_ylabel() for panel in axes.flat)
+    assert rendered(figure) and all("units" in panel.get_ylabel() for panel in axes.flat)
     assert any("paper" in label for label in labels(axes[0, 0])) == as_paper
     shown = line(axes[0, 0], "$R_a$ = 1").get_ydata()
     assert shown[0] == pytest.approx(320_000 * 1.02)  # the mean of 1, 1.02 and 1.04

@@ -107,7 +107,7 @@ def plot_runs(table: Table, as_paper: bool = True) -> tuple[Figure, np.ndarray]:
     titles = ("Energy of the tissue", "The same against rounds, the paper's axis",
               "MH and IS-MH at equal sweeps", "How tight the spread of backbones is")  # fmt: skip
     for panel, title in zip(axes.flat, titles, strict=True):
-        panel.set(title=title, xlabel="sweep", ylabel="energy (length units)")
+        panel.set(title=title, xlabel="sweep", ylabel="energy (model units)")
         panel.grid(which="both", color="0.92")
     for panel in axes[0]:
         panel.set_ylim(bottom=0)
