@@ -19,7 +19,7 @@ from jaxtissue.topology.edges import EdgeGraph, trace_edges
 from jaxtissue.topology.rims import BLOCK, LEVEL, SIDES, SLOPES, WEIGHTS, flow, nodes_on, primitive
 from jaxtissue.topology.traced_sizes import TracedSizes, traced_sizes
 
-STEP = 1e-2  # of the scale on which closed forms change: differences of sixth order err by its sixth power
+STEP = 4e-3  # of the scale on which closed forms change: differences of sixth order err by its sixth power
 APART = 8  # times as far as makes two backbones level, by which level ones are parted at most
 PARALLEL = 1e-12  # of the product of two slopes, below which their walls are taken as one
 
