@@ -11,10 +11,13 @@ from scipy import stats
 
 import jaxtissue as jt
 from jaxtissue.compilation.batching import Batch
+from jaxtissue.dynamics import domain_lists
+from jaxtissue.dynamics.domain_lists import Shortlists
 from jaxtissue.dynamics.domain_runs import domain_run
 from jaxtissue.dynamics.independent_sets import independent_rounds
 from jaxtissue.dynamics.surface_moves import propose_moves
 from jaxtissue.energy import in_precision
+from jaxtissue.geometry.vectors import components
 from jaxtissue.runs.settings import FORMAT, Settings, saved_settings
 
 EGG = jt.Ellipsoid(apical_axes=[2, 1, 1], basal_axes=[2.5, 1.5, 1.5])
@@ -97,6 +100,31 @@ def test_a_survey_measures_the_whole_tissue(run) -> None:
     np.testing.assert_allclose(measured.state.cells.sizes.volume.sum(), SHEET.volume, rtol=1e-9)
     contacts = measured.contacts()
     assert contacts.nnz / CELLS <= 6  # on the sheet, which has two ends
+
+
+def test_short_lists_hold_what_a_span_brings_near(monkeypatch) -> None:
+    """Else the span is played again."""
+    cells = 200
+    sheet = jt.Slab(width=16, depth=12, thickness=1, periodic=(True, True))
+    made = domain_run(jt.tube_model(sheet, cells), "draft", 0, np.zeros(1))
+    place = components(sheet.random_positions(jax.random.key(1), cells))
+    before_place = np.stack(place, axis=1)
+    before = made.survey(before_place, Batch())
+    for sweep in range(10):  # all moves accepted
+        draws = jax.random.uniform(jax.random.key(sweep), (2, cells))
+        place, _ = propose_moves(draws, place, sheet, made.scene.longest)
+    after = made.survey(np.stack(place, axis=1).astype(np.float32), Batch())
+    assert len(Shortlists(before).lacking(after)) <= 1
+    monkeypatch.setattr(domain_lists, "FEW", 16)
+    monkeypatch.setattr(domain_lists, "MARGIN", 0.0)
+    few = Shortlists(before)
+    lacking, width = few.lacking(after), few.rivals.shape[1]
+    few.add(lacking)
+    assert len(lacking) > 20
+    assert len(few.lacking(after)) < len(lacking) / 2  # of those that gave way some are sides
+    assert few.rivals.shape[1] <= width + 8
+    monkeypatch.setattr(domain_lists, "NEAREST", 16)
+    assert len(Shortlists(made.survey(before_place, Batch())).lacking(after)) > 20
 
 
 def test_what_cannot_be_annealed_is_refused() -> None:

@@ -20,7 +20,8 @@ from jaxtissue.sections.crowd import STEP, Crowd, extended, first_lists, gather_
 from jaxtissue.sections.polygons import Rule
 
 ROUNDS = 8  # of looking for missing neighbors
-FEW = 24  # candidates of a cell during a span, if more are not sides or near it
+NEAREST = 40  # at each of three points of a backbone: with 16, most spans meet a neighbor that is not listed
+FEW = 40  # candidates of a cell during a span, if more are not sides or near it
 MARGIN = 0.25  # mean lengths of sections by which the line of such a candidate may miss the cell
 
 
@@ -69,7 +70,7 @@ def survey(
     """
     n = len(positions)
     crowd = Crowd(_segments(scene.domain, positions), n)
-    lists, rounds = first_lists(crowd), 0
+    lists, rounds = first_lists(crowd, NEAREST), 0
     if also is not None:
         cell, slot = np.nonzero(also >= 0)
         lists = extended(lists, np.stack([cell, also[cell, slot]], axis=1))
@@ -106,7 +107,8 @@ class Shortlists:
         near = int((clear < MARGIN).sum(axis=1).max())
         width = min(-(-max(near, FEW) // 8) * 8, clear.shape[1])
         order = np.argsort(clear, axis=1, kind="stable")[:, :width]
-        self.rivals = np.take_along_axis(measured.rivals, order, axis=1)
+        self.rivals = self._nearest = np.take_along_axis(measured.rivals, order, axis=1)
+        self._further = np.full((1, len(order)), -1)
 
     def lacking(self, measured: Measured) -> Int[np.ndarray, "m 2"]:
         """The pairs of a cell and one of its sides, as measured, that the lists lack."""
@@ -115,8 +117,11 @@ class Shortlists:
         return np.stack([cell, rival], axis=1)[~(self.rivals[cell] == rival[:, None]).any(axis=1)]
 
     def add(self, pairs: Int[np.ndarray, "m 2"]) -> None:
-        """List further candidates."""
-        self.rivals = extended(self.rivals.T, pairs).T.astype(np.int32)
+        """List further candidates, for which the least near ones give way: so the same program serves the lists."""
+        self._further = extended(self._further, pairs)
+        both = np.concatenate([self._further.T, self._nearest], axis=1)
+        order = np.argsort(both < 0, axis=1, kind="stable")[:, : max(self._nearest.shape[1], 2 * len(self._further))]
+        self.rivals = np.take_along_axis(both, order, axis=1).astype(np.int32)
 
     def surroundings(self) -> Surroundings:
         """The lists, and the cells around each cell."""
