@@ -5,7 +5,7 @@
 
 Writes benchmarks/results/relaxation.json and docs/relaxation.png; with --again only the table and the picture, of the
 results that are there. From each random start all methods run one after the other. Compiling is apart: each method runs
-a little once before it is timed. Pin it to one core: `taskset -c 0`.
+a little once before it is timed. Results are written after each start. Pin it to one core: `taskset -c 0`.
 """
 
 import json
@@ -149,13 +149,13 @@ def main() -> None:
         table(rows)
         draw(rows, options.picture)
         return
-    for name, domain in tissues(options.cells).items():
-        for seed in range(options.seeds):
+    sizes = {name: getattr(options, name) for name in ("cells", "sweeps", "sweeps_on_domains", "steps")}
+    for seed in range(options.seeds):
+        for name, domain in tissues(options.cells).items():
             rows += rows_of(name, domain, seed, options)
-    sizes = {name: getattr(options, name) for name in ("cells", "seeds", "sweeps", "sweeps_on_domains", "steps")}
-    load = {"load_average": os.getloadavg(), "cores": len(os.sched_getaffinity(0))}
-    common.write(options.out, sizes | load | {"table": table(rows), "rows": rows})
-    draw(rows, options.picture)
+        load = {"load_average": os.getloadavg(), "cores": len(os.sched_getaffinity(0)), "seeds": seed + 1}
+        common.write(options.out, sizes | load | {"table": table(rows), "rows": rows})
+        draw(rows, options.picture)
 
 
 if __name__ == "__main__":
