@@ -37,6 +37,7 @@ TUBE = ["--length", "12", "--apical-radius", "2", "--basal-radius", "4", "--cell
 SWEEPS = 203  # no whole number of spans: the rows at the end are not in the checkpoint
 RUN = ["anneal", *TUBE, "--seed", "3", "--sweeps", str(SWEEPS)]
 GRID = ["grid", *TUBE, "--seed", "3", "4", "--sweeps", "2"]
+PICTURES = ("tissue.png", "scutoid.png")  # those beside RESULTS whose bytes are the same each time
 COMPARED = ("initial_backbones.csv", "sweeps.csv", "backbones.csv", "cells.csv")
 SHARES = {"whole": {"checkpoint.npz": 4.0, "sweeps.csv": 3.0}}  # of the flips; the others have 1
 SHARES["killed"] = {"checkpoint.npz": 4.0, "sweeps.csv": 0.4}  # rows past the checkpoint are played again
@@ -191,7 +192,7 @@ class Trial:
         self.folder, self.right, self.path, self.arguments = folder, right, path, arguments
         self.copy = folder.with_name("copy")
         self.rng = np.random.default_rng([len(folder.name), *str(path).encode()])
-        names = RESULTS if right.name == "whole" else self._grid_names()
+        names = (*RESULTS, *PICTURES) if right.name == "whole" else self._grid_names()
         self.names = [name for name in names if (right / name).is_file()]
         self._renew()
 

@@ -9,6 +9,7 @@ from jaxtissue.runs.pages import write_page
 from jaxtissue.runs.run_folders import read_tissue
 from jaxtissue.runs.viewing import LOOKED_AT, view_tissue
 from jaxtissue.system.files import check_folder
+from jaxtissue.system.locks import alone
 
 
 def export(arguments: dict[str, Any]) -> int:
@@ -36,7 +37,8 @@ def view(arguments: dict[str, Any]) -> int:
     tissue = read_tissue(arguments["run"], arguments["unit"], LOOKED_AT)
     view_tissue(tissue, what, path, arguments["cell"])
     if not arguments["out"]:
-        write_page(arguments["run"])
+        with alone(arguments["run"]):
+            write_page(arguments["run"], [path.name])
     print(path)
     return 0
 

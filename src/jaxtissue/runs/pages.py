@@ -12,7 +12,7 @@ from string import Template
 from typing import Any
 
 from jaxtissue.runs.run_folders import CELLS, DOMAIN, FILES, FIT, MANIFEST, PAGE, SUMMARY
-from jaxtissue.system.files import replacing
+from jaxtissue.system.files import checksum, read_sealed, replacing, write_sealed
 
 CAPTIONS = {
     "tissue.png": "The tissue, cut open: the lumen, and the cells from the apical to the basal surface. "
@@ -30,11 +30,16 @@ CAPTIONS = {
     "turntable.gif": "The tissue, cut open, seen from all sides.",
 }
 ROWS = 20  # of the table of cells that are shown
+AGAIN = "write it again with the command that wrote it"
 
 
-def write_page(folder: Path) -> None:
-    """Write the page of a run from what lies in its folder, as anneal, measure, fit and view leave it."""
-    manifest, summary, fit, domain = (_read(folder / name) for name in (MANIFEST, SUMMARY, FIT, DOMAIN))
+def write_page(folder: Path, drawn: Sequence[str] | None = None) -> None:
+    """Write the page of a run from what lies in its folder, as anneal, measure, fit and view leave it.
+
+    Unless more is to come, a manifest gets the checksums of the page and of the pictures that were `drawn` for it.
+    """
+    summary, fit, domain = (_read(folder / name) for name in (SUMMARY, FIT, DOMAIN))
+    manifest = read_sealed(folder / MANIFEST, AGAIN) if (folder / MANIFEST).is_file() else {}
     results, about = manifest.get("final", summary or fit), manifest or summary or fit
     kind = (
         {"relax": "Relaxed"}.get(manifest.get("command", ""), "Annealed")
@@ -68,6 +73,9 @@ def write_page(folder: Path) -> None:
     text = page.substitute(title=escape(f"{kind} tissue: {name}"), note=note, body="\n".join(parts))
     with replacing(folder / PAGE, "w") as file:
         file.write(text)
+    if drawn is not None and manifest.get("finished"):
+        files_there = {name: checksum(folder / name) for name in (*drawn, PAGE)}
+        write_sealed(folder / MANIFEST, manifest | {"files": manifest["files"] | files_there})
 
 
 def _read(path: Path) -> dict[str, Any]:

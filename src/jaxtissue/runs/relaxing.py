@@ -127,7 +127,7 @@ def _finish(
     energy = {"initial": result.history[0].energy, "final": result.energy, "final_measured": summary["energy"]}
     end = {"step": last.step, "evaluations": last.evaluations, "gradient": last.gradient, "seconds": last.seconds}
     end |= {"converged": result.converged, "message": result.message}
-    files = {name: checksum(folder / name) for name in (*RESULTS, STEPS, DOMAIN) if (folder / name).is_file()}
+    files = {name: checksum(folder / name) for name in (*RESULTS, STEPS) if (folder / name).is_file()}
     manifest = dict(manifest) | {"energy": energy, "final": end | summary, "finished": now(), "files": files}
     write_sealed(folder / MANIFEST, manifest)
     _print_result(settings, result, energy, summary)

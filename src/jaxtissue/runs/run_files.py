@@ -33,7 +33,7 @@ from jaxtissue.system.files import (
     write_sealed,
 )
 
-RESULTS = (INITIAL, BACKBONES, CELLS, SWEEPS, *CONTACT_TABLES, *FIGURES)
+RESULTS = (DOMAIN, INITIAL, BACKBONES, CELLS, SWEEPS, *CONTACT_TABLES, *FIGURES)
 NEEDED = ("arguments", "cooling_sweeps", "compile_seconds", "files", "finished", "resumed")  # of a manifest
 AGAIN = "add --force to start again from the beginning"
 

@@ -59,19 +59,21 @@ def leave_pictures(
     What can't be drawn is left out and told in a line. The page is written before, too: should the system's graphics
     end the process, it is there.
     """
-    write_page(folder)
+    write_page(folder, () if flat else None)
     if flat:
         return
+    drawn = []
     views = VIEWS | {"tissue": partial(_draw_whole, outside=outside)}
     for what in formats.LEFT:
         if what == "scutoid" and not tissue.connectivity.transitions.per_cell.any():
             continue
         try:
             views[what](tissue, folder / picture_name(what), None)
+            drawn.append(picture_name(what))
         except Exception as error:  # results do without
             warnings.warn(f"{picture_name(what)} is not drawn: {' '.join(str(error).split())}", stacklevel=2)
             break
-    write_page(folder)
+    write_page(folder, drawn)
 
 
 def find_scutoid(tissue: TissueRecord) -> int:
