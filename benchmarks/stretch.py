@@ -1,4 +1,4 @@
-"""The share of scutoids over the anisotropy of stretch, on tubes, bent tubes, spheroids: do they lie on one curve?
+"""The share of scutoids over the anisotropy of stretch, on tubes, bent tubes, tori, spheroids: do they lie on one curve?
 
     python benchmarks/stretch.py [--out FILE]
 
@@ -28,6 +28,7 @@ def shapes() -> dict[str, list[Any]]:
     return {
         "tube, ratio 1.1 to 3": [jt.RoundTube(6, 1, ratio, periodic=True) for ratio in RATIOS],
         "bent tube, 4 round 1 to 2": [jt.BentTube(4, 1.5, 1, 2)],
+        "torus, 4 round 1 to 1.3 and 2": [jt.BentTube(4, 2 * math.pi, 1, outer) for outer in (1.3, 2)],
         "spheroid (3, 1, 1), thickness 1": [jt.Ellipsoid([3, 1, 1], [4, 2, 2])],
         "spheroid (1, 1, 0.4), thickness 0.2": [jt.Ellipsoid([1, 1, 0.4], [1.2, 1.2, 0.6])],
     }
@@ -83,7 +84,7 @@ def main() -> None:
     tube = next(iter(table.values()))
     results: dict[str, Any] = {"cells": CELLS, "seeds": len(SEEDS), "shares": table}
     results["against_tubes"] = {name: off_the_tube(rows, tube) for name, rows in list(table.items())[1:] if rows}
-    for marker, (name, rows) in zip("os^v", table.items(), strict=True):
+    for marker, (name, rows) in zip("osD^v", table.items(), strict=True):
         columns = [[row[key] for row in rows] for key in ("anisotropy", "share", "error")]
         axes.errorbar(*columns, fmt=marker + ("-" if rows is tube else ""), label=name, capsize=2, markersize=5)
     axes.set(xlabel="anisotropy of stretch", ylabel="share of scutoids", ylim=(0, 1))
