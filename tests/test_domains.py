@@ -118,7 +118,7 @@ def test_positions_on_a_sphere_are_refused(positions, told):
 
 def test_what_is_for_tubes_alone_says_so():
     with pytest.raises(ValueError, match="a Sphere is not supported here"):
-        jt.label_points([[1.5, 0, 0]], [[1, 0, 0], [0, 1, 0]], cast(Any, jt.Sphere(1, 2)))
+        jt.separation([[1, 0, 0], [0, 1, 0]], cast(Any, jt.Sphere(1, 2)))
 
 
 def test_positions_are_wrapped_or_refused_by_direction():

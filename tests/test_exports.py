@@ -216,7 +216,7 @@ def test_the_command_exports_what_measure_left(tmp_path, positions, capsys):
     save_tissue(tmp_path, TUBE, BackboneTable(positions, NAMES))
     again = read_tissue(tmp_path)
     np.testing.assert_array_equal(again.positions, positions)
-    assert again.tube == TUBE and again.names == NAMES
+    assert again.domain == TUBE and again.names == NAMES
     arguments = ["export", str(tmp_path), "--to", "ome-tiff", "--spacing", "0.3", "0.4", "0.5"]
     assert main([*arguments, "--out", str(tmp_path / "out")]) == 0
     assert capsys.readouterr().out == f"{tmp_path / 'out' / 'labels.ome.tif'}\n"
@@ -300,4 +300,7 @@ def test_a_sheet_is_exported_and_drawn(tmp_path):
     assert main(["view", str(folder), "--what", "tissue", "--out", str(tmp_path / "tissue.png")]) == 0
     picture = np.asarray(Image.open(tmp_path / "tissue.png").convert("RGB")).reshape(-1, 3)
     assert len(np.unique(picture, axis=0)) > 100  # shaded cells in several colors
-    assert main([*run, "ome-tiff", "--out", str(tmp_path / "image")]) == 2
+    assert main([*run, "ome-tiff", "--spacing", "0.1", "0.05", "0.05", "--out", str(tmp_path / "image")]) == 0
+    image = tifffile.imread(tmp_path / "image" / "labels.ome.tif")
+    assert image.shape == (10, 80, 100) and image.all()
+    np.testing.assert_allclose(np.bincount(image.ravel())[1:] * 0.1 * 0.05**2, exact.volume, rtol=0.03)

@@ -1,15 +1,22 @@
 """Which cell a point lies in, by candidates, against a look at all backbones."""
 
 import math
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+import jaxtissue as jt
 from jaxtissue.diagram import point_location
+from jaxtissue.diagram.insides import _search, bounding_box, contains
 from jaxtissue.diagram.labels import label_image
+from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.diagram.spread import covering_radius
+from jaxtissue.geometry.domain_positions import ends_in_space
 from jaxtissue.geometry.tube import Tube
 
 RNG = np.random.default_rng(0)
@@ -115,3 +122,72 @@ def test_what_is_not_finite_or_outside_is_refused():
     with pytest.raises(ValueError, match=r"backbone 0: axial=21"):
         label_points([[1.0, 1, 1]], [[21.0, 0.0]], tube)
     assert label_points(np.zeros((0, 3)), positions, tube).shape == (0,)
+
+
+OTHERS = {
+    "slab": jt.Slab(6, 5, 2, (True, False)),
+    "bent tube": jt.BentTube(6, 2.0, 2, 3.2),
+    "sphere": jt.Sphere(4, 6),
+    "elliptic tube": jt.EllipticTube(6, [4, 5], [5, 6]),
+    "fold": jt.Fold(8, 5, 0.5, 8, 0.6),
+}
+
+
+@pytest.mark.parametrize("name", ["slab", "bent tube", "sphere"])
+def test_voxels_of_any_domain_add_up_to_its_cells(name):
+    domain = OTHERS[name]
+    positions = np.asarray(domain.random_positions(jax.random.key(3), 60))
+    side, cells = 0.2 if name == "sphere" else 0.1, jt.exact_cells(positions, domain, 3)
+    image = label_image(positions, domain, side)
+    assert image.dtype == np.uint16 and image.max() == 60
+    assert image.all() if name == "slab" else not image[0, 0, 0]
+    volume = np.bincount(image.ravel(), minlength=61)[1:] * side**3
+    walls = np.asarray(cells.lateral_area) + 2 * domain.basal_area / 60
+    # a voxel at a wall is in or out at random, by half of it; walls of the slab are upright, its columns all alike
+    alike = 20 if name == "slab" else 1
+    off = np.abs(volume - np.asarray(cells.volume)) / (0.5 * side**2 * np.sqrt(alike * walls))
+    assert off.max() < 4 and off.mean() > 0.05
+    points, volumes = jt.cartesian_voxels(domain, side)
+    np.testing.assert_array_equal(label_points(points, positions, domain) + 1, image[image > 0])
+    assert float(volumes.sum()) == pytest.approx(domain.volume, rel=2e-3)
+
+
+@pytest.mark.parametrize("name", ["bent tube", "sphere"])
+def test_points_are_found_inside_alike_by_newton_and_by_closed_forms(name):
+    domain = OTHERS[name]
+    low, high = bounding_box(domain)
+    points = np.random.default_rng(0).uniform(low - 0.3, high + 0.3, (5000, 3))
+    inside = contains(points, domain)
+    np.testing.assert_array_equal(_search(domain, points), inside)
+    assert inside.mean() * np.prod(high - low + 0.6) == pytest.approx(domain.volume, rel=0.1)
+    assert (points[inside] >= low - 1e-12).all() and (points[inside] <= high + 1e-12).all()
+
+
+def test_a_fold_has_a_box_and_holds_its_own_points():
+    fold: Any = OTHERS["fold"]
+    rng = np.random.default_rng(1)
+    m, h = rng.uniform([0, 0], [8, 5], (500, 2)), rng.uniform(-0.3, 1.3, 500)
+    apical, basal = ends_in_space(m, fold)
+    points = apical + h[:, None] * (basal - apical)
+    np.testing.assert_array_equal(contains(points, fold), (h > 0) & (h < 1))
+    low, high = bounding_box(fold)
+    np.testing.assert_allclose([low[1], high[1], low[2], high[2]], [0, 5, -0.5, 1.1], atol=1e-9)
+
+
+def test_labels_on_other_domains_turn_and_repeat_with_the_tissue():
+    rng, sphere = np.random.default_rng(4), jt.Sphere(2, 4)
+    directions, points = rng.normal(size=(50, 3)), rng.normal(size=(4000, 3)) * 2
+    turn = Rotation.from_euler("zyx", [0.3, 1.1, -0.7]).as_matrix()
+    found = label_points(points, directions, sphere)
+    np.testing.assert_array_equal(label_points(points @ turn, directions @ turn, sphere), found)
+    crowd = Crowd(directions / np.linalg.norm(directions, axis=1, keepdims=True), sphere)
+    np.testing.assert_array_equal(crowd.nearest(points), found)
+    slab = jt.Slab(6, 5, 2, (True, True))
+    bent = rng.uniform(0, 1, (40, 1, 2)) * [6, 5] + np.cumsum(rng.normal(size=(40, 4, 2)) * 0.2, axis=1)
+    points = rng.uniform(0, 1, (4000, 3)) * [6, 5, 2]
+    for positions in (bent[:, 0], bent[:, [0, -1]], bent):  # straight, tilted and bent
+        found = label_points(points, positions, slab)
+        np.testing.assert_array_equal(Crowd(positions, slab).nearest(points) % 40, found)
+        moved = np.mod(points[:, :2] + [2.5, 1.5], [6, 5])
+        again = label_points(np.column_stack([moved, points[:, 2]]), positions + np.array([2.5, 1.5]), slab)
+        np.testing.assert_array_equal(again, found)

@@ -148,7 +148,7 @@ def test_the_command_draws_what_measure_left(tissue, tmp_path, capsys):
 
 def test_edges_are_straight_and_cells_as_large_as_before(tissue):
     meshes, backbones = tissue.meshes, segments(*tissue.ends)
-    straight = straighten(meshes, backbones, partial(label_points, positions=tissue.positions, tube=TUBE))
+    straight = straighten(meshes, backbones, partial(label_points, positions=tissue.positions, domain=TUBE))
     assert straight.triangles is meshes.triangles
 
     def off(shown):
@@ -210,8 +210,8 @@ def test_other_domains_are_opened_and_drawn(tmp_path, capsys):
     view_tissue(TissueRecord(places, cyst, traced=traced), "tissue", tmp_path / "cyst.png")
     assert imread(tmp_path / "cyst.png").std() > 0.1
     save_tissue(tmp_path, cyst, BackboneTable(places, None))
-    assert main(["export", str(tmp_path), "--to", "ome-tiff", "--out", str(tmp_path / "out")]) == 2
-    assert "label images are drawn of tubes only, and this is a Sphere" in capsys.readouterr().err
+    assert main(["export", str(tmp_path), "--to", "ome-tiff", "--out", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'out' / 'labels.ome.tif'}\n"
 
 
 def test_a_run_becomes_a_movie(tissue, tmp_path):

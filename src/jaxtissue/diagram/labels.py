@@ -15,10 +15,11 @@ from jaxtyping import Array, Float, Int, UInt16
 
 from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.diagram.point_location import label_points
-from jaxtissue.diagram.voxels import cartesian_voxels, image_mask
+from jaxtissue.diagram.voxels import image_box, image_mask
 from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.backbones import Backbones
-from jaxtissue.geometry.positions import as_positions
+from jaxtissue.geometry.domain_positions import as_positions_on
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
 
 _UNROLL = 8  # backbones tried per turn of the innermost loop: one per turn takes 4 times as long on a CPU
@@ -93,36 +94,43 @@ def label_volumes(
 
 
 @usual_modes()
-def label_image(positions: PositionsLike, tube: Tube, spacing: float | Sequence[float]) -> UInt16[np.ndarray, "z y x"]:
+def label_image(
+    positions: PositionsLike, domain: Tube | Domain, spacing: float | Sequence[float]
+) -> UInt16[np.ndarray, "z y x"]:
     """Render a tissue as a 3D label image with axes (z, y, x): 0 outside the tissue, cell index + 1 inside.
 
-    Each voxel has the label of the cell that contains its center (paper, section 2.1). Voxel [k, j, i] has its center
-    at x = (i + 1/2) dx, y = (j + 1/2 - ny/2) dy, z = (k + 1/2 - nz/2) dz, so the image starts at the end x = 0 of the
-    tube and is centered on its axis.
+    Each voxel has the label of the cell that contains its center (paper, section 2.1). The faces of voxels lie at
+    multiples of their sides, and the image is the smallest that contains the tissue: with its least z, y and x, voxel
+    [k, j, i] has its center at x = (floor(x_min / dx) + i + 1/2) dx, and likewise y and z. The image of a tube starts
+    at its end x = 0 and is centered on its axis. In periodic directions the image shows one period, with the cells
+    that reach into it from the next.
 
     Args:
         positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
-            columns `axial` and `angle`.
-        tube: The tube.
+            columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3];
+            of tilted and bent backbones those of their nodes, shape [n, k, d].
+        domain: The tube or other domain.
         spacing: Side of a cubic voxel, or the three sides (dz, dy, dx), in length units.
 
     Returns:
         Image of unsigned 16-bit integers, shape [z, y, x].
 
     Raises:
-        ValueError: If there are more than 65,535 cells, if a position is not finite, lies outside the tube or coincides
-            with another, or if `spacing` is not positive or so large that no voxel center lies in the tissue.
+        ValueError: If there are more than 65,535 cells, if a position is not finite, lies outside the domain or
+            coincides with another, or if `spacing` is not positive or so large that no voxel center lies in the tissue.
 
     >>> label_image(jnp.array([[1.0, 0.0], [3.0, 0.0]]), Tube(4, 0.5, 2), 1.0)[2, 2].tolist()
     [1, 1, 2, 2]
     """
-    positions = as_positions(positions, tube, sizes=False)
+    positions = as_positions_on(positions, domain, np.float64, sizes=False, bent=True)
     cells = positions.shape[0]
     if cells >= 2**16:
         raise ValueError(f"{cells} cells are too many for 16-bit labels; use at most {2**16 - 1} cells")
-    mask = image_mask(tube, spacing)
+    box, mask = image_box(domain, spacing), image_mask(domain, spacing)
     image = np.zeros(mask.shape, np.uint16)
-    image[mask] = label_points(cartesian_voxels(tube, spacing)[0], positions, tube) + 1
+    for some, points in box.planes():
+        inside = mask[some]
+        image[some][inside] = label_points(points[inside.ravel()], positions, domain) + 1
     return image
 
 

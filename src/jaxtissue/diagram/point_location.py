@@ -1,16 +1,20 @@
 """The cell that holds each point: points in ever smaller boxes, each with the backbones that can be nearest.
 
 A box whose list has come down to one backbone lies in one cell. Time grows as points + backbones, whatever
-the shape of the tube and however the backbones crowd (host, float64).
+the shape of the domain and however the backbones crowd (host, float64).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64
 
+from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.geometry.array_likes import ArrayLike, PositionsLike
+from jaxtissue.geometry.domain_positions import as_positions_on
+from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import domain_of
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.system.cores import in_threads
@@ -24,13 +28,37 @@ _BATCH = 2**18  # pairs of boxes and backbones worked on together: threads that 
 
 
 class Stand(NamedTuple):
-    """The backbones: from the inner to the outer radius, in the direction (cosine, sine)."""
+    """The backbones of a tube: from the inner to the outer radius, in the direction (cosine, sine)."""
 
     axial: Float64[np.ndarray, " n"]
     cosine: Float64[np.ndarray, " n"]
     sine: Float64[np.ndarray, " n"]
     inner: float
     outer: float
+    parts: int = 1
+
+    def feet(self, cell: np.ndarray, points: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The point nearest to each point, as x, y and z, on the backbone of this number."""
+        _, y, z = points
+        axis_y, axis_z = self.cosine[cell], self.sine[cell]
+        out = np.clip(y * axis_y + z * axis_z, self.inner, self.outer)
+        return self.axial[cell], out * axis_y, out * axis_z
+
+
+class Sticks(NamedTuple):
+    """Segments in space, `parts` of them one after the other for each cell: pieces and copies of its backbone."""
+
+    start: Float64[np.ndarray, "3 e"]
+    along: Float64[np.ndarray, "3 e"]
+    square: Float64[np.ndarray, " e"]
+    parts: int
+
+    def feet(self, cell: np.ndarray, points: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The point nearest to each point, as x, y and z, on the segment of this number."""
+        start, along = self.start[:, cell], self.along[:, cell]
+        share = sum((p - a) * b for p, a, b in zip(points, start, along, strict=True))
+        x, y, z = start + np.clip(share / self.square[cell], 0, 1) * along
+        return x, y, z
 
 
 class Lists(NamedTuple):
@@ -58,23 +86,25 @@ class _Boxes(NamedTuple):
     lists: Lists
 
 
-def label_points(points: ArrayLike, positions: PositionsLike, tube: Tube) -> Int32[np.ndarray, " p"]:
+def label_points(points: ArrayLike, positions: PositionsLike, domain: Tube | Domain) -> Int32[np.ndarray, " p"]:
     """Find the cell that contains each point, that is, the cell of the nearest backbone (paper, section 2.1).
 
-    The distance is the exact Euclidean distance to the segment, also across the lumen. Ties go to the lower index. Time
-    grows with points + backbones. Runs on the host in float64; not jittable (see `nearest_backbones`).
+    The distance is the exact Euclidean distance to the backbone, also across the lumen; beyond a periodic direction
+    those of the copies count. Ties go to the lower index. Time grows with points + backbones. Runs on the host in
+    float64; not jittable (see `nearest_backbones`).
 
     Args:
         points: Cartesian coordinates, in length units, shape [p, 3].
         positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
-            columns `axial` and `angle`.
-        tube: The tube.
+            columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3];
+            of tilted and bent backbones those of their nodes, shape [n, k, d].
+        domain: The tube or other domain.
 
     Returns:
         Index of the cell that contains each point, shape [p]. Points outside the tissue also get the nearest backbone.
 
     Raises:
-        ValueError: If a point is not finite, or if a position is not finite, lies outside the tube or coincides with
+        ValueError: If a point is not finite, or if a position is not finite, lies outside the domain or coincides with
             another.
 
     >>> two, tube = np.array([[2.0, 0.0], [5.0, 0.0]]), Tube(length=10, apical_radius=1, basal_radius=2)
@@ -84,7 +114,9 @@ def label_points(points: ArrayLike, positions: PositionsLike, tube: Tube) -> Int
     points = np.asarray(points, np.float64).reshape(-1, 3)
     for i in np.flatnonzero(~np.isfinite(points).all(axis=1)):
         raise ValueError(f"point {i}, {points[i]}, is not finite; give finite x, y and z")
-    cells, labels = stand(positions, tube), np.empty(len(points), np.int32)
+    tube = domain_of(domain, positions)
+    cells = stand(positions, tube) if isinstance(tube, Tube) else _sticks(positions, tube)
+    labels = np.empty(len(points), np.int32)
 
     def label_chunk(start: int) -> None:
         chunk = _in_order(points[start : start + _CHUNK])
@@ -100,11 +132,21 @@ def stand(positions: PositionsLike, tube: Tube) -> Stand:
     return Stand(axial, np.cos(angle), np.sin(angle), float(tube.apical_radius), float(tube.basal_radius))
 
 
+def _sticks(positions: PositionsLike, domain: Domain) -> Sticks:
+    """The pieces of backbones and of their copies on any other domain."""
+    crowd = Crowd(as_positions_on(positions, domain, np.float64, bent=True), domain)
+    pieces, n = len(crowd.start), crowd.cells
+    start, along = (
+        part.reshape(pieces, -1, n, 3).transpose(3, 2, 0, 1).reshape(3, -1) for part in (crowd.start, crowd.along)
+    )
+    return Sticks(start, along, (along**2).sum(axis=0), start.shape[1] // n)
+
+
 def narrow(
     center: Float64[np.ndarray, "3 places"],
     radius: Float64[np.ndarray, " places"],
     lists: Lists,
-    cells: Stand,
+    cells: Stand | Sticks,
 ) -> tuple[Lists, Float64[np.ndarray, " places"]]:
     """Keep, of the backbones listed for each ball, those that can be nearest in it; and the distances of the centers.
 
@@ -113,11 +155,9 @@ def narrow(
     farther than its point. In a ball of radius 0 only j is left, and of several the one with the lowest index.
     """
     cell, count = lists
-    foot_x, axis_y, axis_z = cells.axial[cell], cells.cosine[cell], cells.sine[cell]
-    y, z = np.repeat(center[1], count), np.repeat(center[2], count)
-    out = np.clip(y * axis_y + z * axis_z, cells.inner, cells.outer)
-    foot_y, foot_z = out * axis_y, out * axis_z
-    square = (foot_x - np.repeat(center[0], count)) ** 2 + (y - foot_y) ** 2 + (z - foot_z) ** 2
+    x, y, z = (np.repeat(part, count) for part in center)
+    foot_x, foot_y, foot_z = cells.feet(cell, (x, y, z))
+    square = (foot_x - x) ** 2 + (y - foot_y) ** 2 + (z - foot_z) ** 2
     best = np.minimum.reduceat(square, np.cumsum(count) - count)
 
     # first by d_i - d_j <= 2 r, which is cheaper
@@ -174,9 +214,9 @@ def _spread(number: Int64[np.ndarray, " p"]) -> Int64[np.ndarray, " p"]:
     return high << (3 * _DEPTH // 2) | low
 
 
-def _label(chunk: _Chunk, cells: Stand) -> Int64[np.ndarray, " p"]:
+def _label(chunk: _Chunk, cells: Stand | Sticks) -> Int64[np.ndarray, " p"]:
     """The cells of the points of a chunk, in its order."""
-    n, p = len(cells.axial), len(chunk.order)
+    n, p = cells[0].shape[-1], len(chunk.order)
     labels = np.empty(p, np.int64)
     left = [(0, _Boxes(np.array([0]), np.array([p]), Lists(np.arange(n), np.array([n]))))]
     while left:
@@ -189,9 +229,11 @@ def _label(chunk: _Chunk, cells: Stand) -> Int64[np.ndarray, " p"]:
         # a little more, for rounding
         radius = np.where(single, 0, side * (np.sqrt(0.75) + 1e-6))
         lists, _ = narrow(np.where(single, center, middle), radius, boxes.lists, cells)
-        done = lists.number == 1
+        first = np.cumsum(lists.number) - lists.number
+        least = lists.cell[first] // cells.parts
+        done = (lists.number == 1) | (least == lists.cell[first + lists.number - 1] // cells.parts)
         size = boxes.size[done]
-        labels[_ranges(boxes.start[done], size)] = np.repeat(take(lists, done).cell, size)
+        labels[_ranges(boxes.start[done], size)] = np.repeat(least[done], size)
         if not done.all():
             rest = _Boxes(boxes.start[~done], boxes.size[~done], take(lists, ~done))
             parts = _split(rest, chunk, level + 1)

@@ -1,14 +1,21 @@
 """Voxels of the tissue, on cylindrical and Cartesian grids, and their volumes."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.diagram.insides import bounding_box, contains
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
+
+_TOGETHER = 2**22  # centers of voxels that are made together
+_ROUNDING = 1e-9  # of its distance from 0, that a tissue may reach into a voxel without needing it
 
 
 @usual_modes()
@@ -48,17 +55,17 @@ def cylindrical_voxels(
     return points, radius * (2 * math.pi * wall * tube.length / math.prod(shape))
 
 
-@usual_modes()
 def cartesian_voxels(
-    tube: Tube, spacing: float | Sequence[float]
+    domain: Tube | Domain, spacing: float | Sequence[float]
 ) -> tuple[Float[Array, "voxels 3"], Float[Array, "voxels"]]:
     """Return centers and volumes of the voxels of a Cartesian grid whose centers lie in the tissue.
 
-    `label_image` uses the same grid. Voxels do not follow the surfaces, so the sum of the volumes differs from
-    `tube.volume`. Not jittable.
+    `label_image` uses the same grid: the faces of the voxels lie at multiples of their sides. Voxels do not follow the
+    surfaces, so the sum of the volumes differs from `domain.volume`. In periodic directions the voxels fill one period.
+    Not jittable.
 
     Args:
-        tube: The tube.
+        domain: The tube or other domain.
         spacing: Side of a cubic voxel, or the three sides (dz, dy, dx), in length units.
 
     Returns:
@@ -72,18 +79,60 @@ def cartesian_voxels(
     >>> points.shape, float(volumes.sum()), round(Tube(2, 0.5, 2).volume, 2)
     ((24, 3), 24.0, 23.56)
     """
-    mask = image_mask(tube, spacing)
-    dtype = jnp.result_type(tube.length, tube.apical_radius, tube.basal_radius, 0.0)
-    sides = np.broadcast_to(np.asarray(spacing, float), 3)
-    z, y, x = (jnp.asarray(c, dtype) for c in ((np.argwhere(mask) + _corner(mask)) * sides).T)
-    return jnp.stack([x, y, z], axis=-1), jnp.full(x.shape, sides.prod(), dtype)
+    box = image_box(domain, spacing)
+    mask = image_mask(domain, spacing)
+    dtype = jnp.result_type(*jax.tree.leaves(domain), 0.0)
+    z, y, x = (jnp.asarray(c, dtype) for c in ((np.argwhere(mask) + box.first + 0.5) * box.sides).T)
+    return jnp.stack([x, y, z], axis=-1), jnp.full(x.shape, box.sides.prod(), dtype)
 
 
-def image_mask(tube: Tube, spacing: float | Sequence[float]) -> Bool[np.ndarray, "z y x"]:
-    """Mark the voxels of the smallest image round the tube that have their centers in the tissue; order (z, y, x).
+class Box(NamedTuple):
+    """The smallest image round a domain, in the order (z, y, x).
 
-    Voxel (k, j, i) is centered at x = (i + 1/2) spacing, y = (j + 1/2 - ny/2) spacing and likewise z: the image begins
-    at the tube's end x = 0 and is centered on the axis. The spacing is one number or three, in the order (z, y, x).
+    Voxel (k, j, i) has its center at (first + (k, j, i) + 1/2) sides.
+    """
+
+    first: Int[np.ndarray, "3"]
+    counts: Int[np.ndarray, "3"]
+    sides: Float[np.ndarray, "3"]
+
+    def planes(self) -> Iterator[tuple[slice, Float[np.ndarray, "p 3"]]]:
+        """The planes of voxels, a few at a time, and the centers (x, y, z) of the voxels in them."""
+        z, y, x = (
+            (np.arange(count) + first + 0.5) * side
+            for first, count, side in zip(self.first.tolist(), self.counts.tolist(), self.sides.tolist(), strict=True)
+        )
+        step = max(1, _TOGETHER // (len(x) * len(y)))
+        for low in range(0, len(z), step):
+            some = slice(low, low + step)
+            deep, high, long = np.meshgrid(z[some], y, x, indexing="ij")
+            yield some, np.stack([long.ravel(), high.ravel(), deep.ravel()], axis=1)
+
+
+def image_box(domain: Tube | Domain, spacing: float | Sequence[float]) -> Box:
+    """The smallest image round a domain whose voxels begin at multiples of their sides.
+
+    That of a tube begins at its end x = 0 and is centered on its axis. The spacing is one number or three, (z, y, x).
+
+    Raises:
+        ValueError: If the spacing is not positive.
+
+    >>> image_box(Tube(2, 0.5, 2), 1.0).counts.tolist(), image_box(Tube(2, 0.5, 2), 1.0).first.tolist()
+    ([4, 4, 2], [-2, -2, 0])
+    """
+    sides = np.asarray(spacing, float)
+    if sides.shape not in ((), (3,)) or not (np.isfinite(sides).all() and (sides > 0).all()):
+        numbers = "not a positive finite number" if sides.ndim == 0 else "not three positive finite numbers"
+        raise ValueError(f"spacing={spacing} is {numbers}; give the side length of the voxels")
+    sides = np.broadcast_to(sides, 3)
+    low, high = (end[::-1] / sides for end in bounding_box(domain))
+    first = np.floor(low + _ROUNDING * np.abs(low))
+    counts = np.ceil(high - _ROUNDING * np.abs(high)) - first
+    return Box(first.astype(int), counts.astype(int), sides)
+
+
+def image_mask(domain: Tube | Domain, spacing: float | Sequence[float]) -> Bool[np.ndarray, "z y x"]:
+    """Mark the voxels of the smallest image round a domain that have their centers in the tissue; order (z, y, x).
 
     Raises:
         ValueError: If the spacing is not positive, or so wide that no center lies in the tissue.
@@ -94,21 +143,10 @@ def image_mask(tube: Tube, spacing: float | Sequence[float]) -> Bool[np.ndarray,
            [1, 1, 1, 1],
            [0, 1, 1, 0]])
     """
-    sides = np.asarray(spacing, float)
-    if sides.shape not in ((), (3,)) or not (np.isfinite(sides).all() and (sides > 0).all()):
-        numbers = "not a positive finite number" if sides.ndim == 0 else "not three positive finite numbers"
-        raise ValueError(f"spacing={spacing} is {numbers}; give the side length of the voxels")
-    dz, dy, dx = np.broadcast_to(sides, 3).tolist()
-    deep, high = (2 * math.ceil(tube.basal_radius / side) for side in (dz, dy))
-    across = [(np.arange(count) + 0.5 - count / 2) * side for count, side in ((deep, dz), (high, dy))]
-    radius = np.hypot(across[0][:, None, None], across[1][None, :, None])
-    axial = (np.arange(math.ceil(tube.length / dx)) + 0.5) * dx
-    mask = (radius >= tube.apical_radius) & (radius <= tube.basal_radius) & (axial <= tube.length)
+    box = image_box(domain, spacing)
+    mask = np.zeros(box.counts, bool)
+    for some, points in box.planes():
+        mask[some] = contains(points, domain).reshape(mask[some].shape)
     if not mask.any():
         raise ValueError(f"spacing={spacing} is too large: no voxel center lies in the tissue; give a smaller spacing")
     return mask
-
-
-def _corner(mask: Bool[np.ndarray, "z y x"]) -> Float[np.ndarray, "3"]:
-    """Center of voxel (0, 0, 0) in units of the spacing, as (z, y, x)."""
-    return np.array([0.5 - mask.shape[0] / 2, 0.5 - mask.shape[1] / 2, 0.5])

@@ -8,6 +8,7 @@ from jaxtyping import Float, UInt16
 from matplotlib.colors import to_rgba
 
 from jaxtissue.diagram.labels import label_image
+from jaxtissue.diagram.voxels import image_box
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.meshes.coloring import PALETTE, spread_colors
 from jaxtissue.system.extras import optional
@@ -81,17 +82,14 @@ def draw(tissue: TissueRecord, spacing: Spacing | None) -> Drawn:
     Raises:
         ValueError: If the image would have more than `VOXELS` voxels.
     """
-    tube = tissue.tube
     if spacing is None:
-        side = (float(tube.volume) / len(tissue.positions)) ** (1 / 3) / _FINE
+        side = (float(tissue.domain.volume) / len(tissue.positions)) ** (1 / 3) / _FINE
         spacing = side, side, side
-    across, length = 2 * float(tube.basal_radius), float(tube.length)
-    count = np.prod([size / side for size, side in zip((across, across, length), spacing, strict=True)])
+    box = image_box(tissue.domain, spacing)
+    count = np.prod(box.counts, dtype=float)
     if count > VOXELS:
         raise ValueError(
             f"--spacing {' '.join(map(str, spacing))} gives {count:.2g} voxels, too many; use a larger spacing"
         )
-    labels = label_image(tissue.positions, tube, spacing)
-    deep, high, _ = labels.shape
-    dz, dy, dx = spacing
-    return Drawn(labels, spacing, np.array([(0.5 - deep / 2) * dz, (0.5 - high / 2) * dy, dx / 2]))
+    labels = label_image(tissue.positions, tissue.domain, spacing)
+    return Drawn(labels, spacing, (box.first + 0.5) * box.sides)

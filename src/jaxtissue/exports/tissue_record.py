@@ -44,14 +44,6 @@ class TissueRecord:
     traced: Connectivity | None = None
     measure: Callable[..., Any] | None = None
 
-    @property
-    def tube(self) -> Tube:
-        """The tube. Raises `ValueError` where the domain is another."""
-        if not isinstance(self.domain, Tube):
-            told = f"label images are drawn of tubes only, and this is a {type(self.domain).__name__}"
-            raise ValueError(f"{told}; export it --to vtu, ply, stl or glb")
-        return self.domain
-
     @cached_property
     def connectivity(self) -> Connectivity:
         """Contacts, transition points, topology and geometry of the cells."""

@@ -5,15 +5,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.geometry.array_likes import ArrayLike, PositionsLike
-from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.images.frame import Frame
 from jaxtissue.images.shapes import FITTERS, INSIDE
-
-BLOCK = 4  # voxels along each side of a block, whose points are looked at together
 
 
 def draw_labels(
@@ -37,27 +33,13 @@ def draw_labels(
     Returns:
         The labels, 0 outside, and the marks, both [z, y, x].
     """
-    steps = np.argwhere(np.ones(shape, bool))
-    points = frame.to_domain(steps[:, ::-1] * sizes)
+    points = frame.to_domain(np.argwhere(np.ones(shape, bool))[:, ::-1] * sizes)
     locate = next(fitter.locate for fitter in FITTERS.values() if isinstance(domain, fitter.kind))
     marks = locate(domain, points)
     inside, voxels = marks == INSIDE, np.zeros(len(points), np.int64)
     if inside.any():
-        voxels[inside] = labels[_nearest(points[inside], steps[inside], positions, domain)]
+        voxels[inside] = labels[label_points(points[inside], positions, domain)]
     return voxels.reshape(shape), marks.reshape(shape)
-
-
-def _nearest(
-    points: Float[np.ndarray, "p 3"], steps: Int[np.ndarray, "p 3"], positions: PositionsLike, domain: Tube | Domain
-) -> Int[np.ndarray, " p"]:
-    """The cell of each point, the center of a voxel with these indices."""
-    if isinstance(domain, Tube):
-        return np.asarray(label_points(points, positions, domain))
-    crowd, found = Crowd(np.asarray(positions, float), domain), np.empty(len(points), int)
-    order = np.lexsort((steps // BLOCK).T)
-    groups = np.append(order, np.repeat(order[-1:], -len(order) % BLOCK**2))
-    found[groups] = crowd.nearest_in_groups(points[groups].reshape(-1, BLOCK**2, 3)).ravel() % crowd.cells
-    return found
 
 
 def draw_turned(

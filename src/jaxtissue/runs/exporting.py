@@ -64,11 +64,8 @@ def export_tissue(
         Paths of the files and folders that were written. Each is written completely or not at all.
 
     Raises:
-        ValueError: If a format requires a missing package, too much memory, or data that the tissue does not have, or
-            if a label image of a domain other than `Tube` is asked for.
+        ValueError: If a format requires a missing package, too much memory, or data that the tissue does not have.
     """
-    if set(IMAGES) & set(formats):
-        _ = tissue.tube  # other domains are refused before anything is written
     with alone(folder, what="a run or an export"):
         return [path for name in dict.fromkeys(formats) for path in _export(tissue, folder, name, spacing)]
 

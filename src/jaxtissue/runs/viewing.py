@@ -101,7 +101,7 @@ def _mesh(tissue: TissueRecord, *cells: int) -> CellMeshes:
 def _straight(tissue: TissueRecord, meshes: CellMeshes) -> CellMeshes:
     if not isinstance(tissue.domain, Tube):  # where cells are large on a curved surface, vertices would leave it
         return meshes
-    label = partial(label_points, positions=tissue.positions, tube=tissue.domain)
+    label = partial(label_points, positions=tissue.positions, domain=tissue.domain)
     return straighten(meshes, segments(*tissue.ends), label)
 
 
