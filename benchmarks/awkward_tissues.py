@@ -22,6 +22,7 @@ COUNT, OWN = 1000, 40  # tissues of the known kinds, and of each further one
 BASE = 77  # of the random numbers
 SAMPLES = (50, 200, 800)  # of the exact path: more where it does not agree with what was measured
 POINTS = 40_000  # at most, of all samples
+SECONDS = 60.0  # of the processor, that the exact path may take with more samples, as the last ones foretell
 AGREED = 3e-4  # of the mean cell: no finer truth is asked for
 NEAR = 0.3  # of the limits: with so small errors the last samples, which may take minutes, are left out
 TOLERANCE = 1e-3
@@ -116,18 +117,19 @@ def measure(made: Made, tolerance: float | None = None) -> tuple[np.ndarray, int
 
 def errors(found: np.ndarray, made: Made) -> tuple[np.ndarray, int]:
     """The largest errors of V and A, as fractions of the mean cell, and the samples of the exact path; 0 for none."""
-    n, off, used = len(made.positions), np.full(2, np.nan), 0
+    n, off, used, seconds = len(made.positions), np.full(2, np.nan), 0, 0.0
     mean = np.array([float(made.tube.volume) / n, 0.0])
     for samples in SAMPLES:
-        if used and samples * n > POINTS:
+        if used and (samples * n > POINTS or seconds * (samples / used) ** 2 > SECONDS):
             break
+        begun = time.process_time()
         try:
             exact = jt.exact_cells(made.positions, made.tube, samples)
         except (ValueError, RuntimeError):  # backbones that it can't tell apart
             continue
         mean[1] = exact.lateral_area.mean() or 1.0
         right = np.stack([exact.volume, exact.lateral_area])
-        off, used = np.abs(found - right).max(axis=1) / mean, samples
+        off, used, seconds = np.abs(found - right).max(axis=1) / mean, samples, time.process_time() - begun
         if (off <= AGREED).all() or (samples >= SAMPLES[1] and (off <= NEAR * np.array(LIMITS)).all()):
             break
     return off, used

@@ -1,11 +1,12 @@
 """Errors and times of the sections on domains: where cells are known, against the exact path, and of sweeps.
 
-    python benchmarks/domains.py [--cells 300] [--errors] [--exact] [--out FILE]
+    python benchmarks/domains.py [--cells 300] [--errors | --times] [--exact] [--peer DIR] [--out FILE]
 
 Errors are root mean squares over the cells as parts of the mean cell; a time is the least of 20 diagrams on kept lists.
 Cells are known on reference tubes and on the sphere. On other shapes they are compared with sections of 20 layers,
 five passes and three steps of Newton's method, and these, with `--exact`, with the exact path, which takes minutes.
-With `--errors` nothing is timed. What is measured is written at once.
+With `--errors` nothing is timed, with `--times` nothing else is done. With the C++ peer, one diagram of the reference
+tube of ratio 2 is compared with those of the peer. What is measured is written at once.
 """
 
 import time
@@ -16,6 +17,7 @@ import common
 import jax
 import jax.numpy as jnp
 import numpy as np
+from peer import Peer, find_peer
 from scipy.spatial import SphericalVoronoi
 
 import jaxtissue as jt
@@ -142,11 +144,35 @@ def seconds_of_sweeps(domain: Any) -> dict[str, float]:
     return {"seconds_of_a_sweep": float(np.median([record.seconds for record in records[-10:]]))}
 
 
+def growth() -> dict[str, dict[str, float]]:
+    """Milliseconds of a diagram by `draft` on kept lists, of spheres with the same cells but more of them."""
+    found = {}
+    for cells in (500, 2000, 8000, 20_000):
+        sphere = jt.Sphere((cells / 500) ** 0.5, (cells / 500) ** 0.5 + 0.5)
+        place = np.asarray(sphere.random_positions(jax.random.key(1), cells), float)
+        nothing = np.full(cells, np.nan)
+        row = measured(sphere, place, SECTIONS["draft"], nothing, nothing)
+        found[f"sphere of {cells}"] = {"milliseconds_kept": row["milliseconds_kept"], "volume_sum": row["volume_sum"]}
+    return found
+
+
+def against_peer(peer: Peer) -> dict[str, dict[str, float]]:
+    """Errors and milliseconds of one diagram by the peer with more and more samples, on the tube of ratio 2."""
+    domain, positions, volume, area = cases()["paper_Ra5"]
+    tube, found = jt.Tube(domain.length, domain.apical_radius, domain.basal_radius), {}
+    for samples in (6, 8, 12, 20, 30, 40):
+        diagram = peer.diagram(positions, tube, samples)
+        row = {"volume_rms": common.rms(diagram.volume, volume), "area_rms": common.rms(diagram.lateral_area, area)}
+        found[f"paper_Ra5 peer, {samples} samples"] = row | {"milliseconds": 1e3 * diagram.seconds}
+    return found
+
+
 def main() -> None:
     """Measure every case by every preset."""
-    parser = common.options(__doc__ or "", "domains")
+    parser = common.options(__doc__ or "", "domains", peer=True)
     parser.add_argument("--cells", type=int, default=300, help="cells of the tissues that are compared")
     parser.add_argument("--errors", action="store_true", help="leave out what is timed")
+    parser.add_argument("--times", action="store_true", help="leave out what is not timed")
     parser.add_argument("--exact", action="store_true", help="compare converged sections with the exact path too")
     given, results = parser.parse_args(), {}
 
@@ -161,6 +187,11 @@ def main() -> None:
         for name, (domain, positions, volume, area) in cases().items():
             for preset, layers in SECTIONS.items():
                 tell(f"{name} {preset}", measured(domain, positions, layers, volume, area))
+        peer = find_peer(given.peer)
+        for name, row in (growth() | (against_peer(peer) if peer else {})).items():
+            tell(name, row)
+    if given.times:
+        return
     for kind in ("random", "relaxed"):
         for name, domain in SHAPES.items():
             place = tissue(domain, given.cells, kind)

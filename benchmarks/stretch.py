@@ -1,4 +1,4 @@
-"""The share of scutoids over the anisotropy of stretch, on tubes, bent tubes, tori, spheroids: do they lie on one curve?
+"""The share of scutoids over the anisotropy of stretch, on tubes, tori and spheroids: do they lie on one curve?
 
     python benchmarks/stretch.py [--out FILE]
 
