@@ -1,11 +1,12 @@
-"""Gradients of volumes and lateral areas against central differences of traced sizes, on reference tubes.
+"""Gradients of volumes and lateral areas against central differences of true sizes, on tubes and other domains.
 
     python benchmarks/gradients.py
 
 For random directions of all backbones: the cosine of the derivatives by `tissue_energy` and by differences, of the
-volume term of the paper's energy and of the sum of all lateral areas. Times are the processor's, so that other work on
-the machine counts little; those of "traced" lack the tracing, since edges are kept. Writes
-benchmarks/results/gradients.json. Pin it to one core: `taskset -c 0`.
+volume term of the paper's energy and of the sum of all lateral areas. True sizes are those of the traced edges on
+reference tubes, and elsewhere those of sections on 20 layers, five passes and three steps of Newton's method. Times are
+the processor's, so that other work on the machine counts little; those of "traced" lack the tracing, since edges are
+kept. Writes benchmarks/results/gradients.json. Pin it to one core: `taskset -c 0`.
 """
 
 import os
@@ -16,46 +17,81 @@ import common
 import jax
 import jax.numpy as jnp
 import numpy as np
+from domains import CONVERGED, SHAPES
 
 import jaxtissue as jt
+from jaxtissue.geometry.domain_positions import as_domain_positions
+from jaxtissue.neighbors.section_lists import find_sections
 from jaxtissue.topology.traced_sizes import trace_sizes
 
 NAMES = ("paper_Ra5", "ratio10_n100", "bluenoise_ratio10")
+CELLS = 200  # on other domains
 DIRECTIONS, STEP = 8, 5e-3  # the step is a length, of all backbones together
 ENERGIES = {"volume": jt.volume_elasticity, "lateral_area": jt.lateral_tension}
 
 
-def measured(name: str, size: str, energy: str) -> dict[str, Any]:
-    """The cosine for one tube, resolution and energy, and the cost of the gradient against that of the energy."""
-    with np.load(common.HERE.parent / "tests" / "data" / f"{name}.npz") as file:
-        data = dict(file)
-    tube = jt.Tube(*(float(data[key]) for key in ("L", "Ra", "Rb")))
-    place = np.stack([data["x"], data["theta"]], axis=-1)
-    model = jt.tube_model(tube, len(place), tension=1.0, cell_energy=ENERGIES[energy])
-    neighbors = jt.NeighborList.allocate(place, tube)
+def tubes() -> dict[str, tuple[jt.Tube, np.ndarray]]:
+    """Reference tubes, with their positions."""
+    found = {}
+    for name in NAMES:
+        with np.load(common.HERE.parent / "tests" / "data" / f"{name}.npz") as data:
+            tube = jt.Tube(*(float(data[key]) for key in ("L", "Ra", "Rb")))
+            found[name] = tube, np.stack([data["x"], data["theta"]], axis=-1)
+    return found
 
-    def value(place: jax.Array) -> jax.Array:
-        return jt.tissue_energy(place, model, neighbors, size)
 
-    both = jax.jit(jax.value_and_grad(value))
-    gradient = np.asarray(both(jnp.asarray(place))[1])
+def domains() -> dict[str, tuple[Any, np.ndarray]]:
+    """Other domains, with random positions."""
+    shapes = SHAPES | {"slab": jt.Slab(12, 10, 1, periodic=(True, True))}
+    return {
+        name: (shape, np.asarray(shape.random_positions(jax.random.key(1), CELLS))) for name, shape in shapes.items()
+    }
 
-    def true_energy(place: np.ndarray) -> float:
-        sizes = trace_sizes(place, tube)
+
+def true_sizes(place: np.ndarray, domain: Any) -> jt.CellGeometry:
+    """Volumes and lateral areas, as nearly right as they can be had."""
+    if isinstance(domain, jt.Tube):
+        sizes = trace_sizes(place, domain)
         assert sizes is not None
-        return float(ENERGIES[energy](jt.CellGeometry(sizes.volume, sizes.lateral_area), model).sum())
+        return jt.CellGeometry(sizes.volume, sizes.lateral_area)
+    sizes = find_sections(domain, as_domain_positions(place, domain), *CONVERGED).sizes
+    return jt.CellGeometry(np.asarray(sizes.volume[0]), np.asarray(sizes.lateral_area[0]))
 
-    units, found, expected = np.array([1, float(tube.basal_radius)]), [], []
+
+def moved(place: np.ndarray, way: np.ndarray, domain: Any) -> np.ndarray:
+    """Positions some way on; unit vectors stay such."""
+    there = place + way
+    return there / np.linalg.norm(there, axis=1, keepdims=True) if place.shape[1] == 3 else there
+
+
+def measured(name: str, domain: Any, place: np.ndarray, energy: str, sizes: tuple[str, ...]) -> list[dict[str, Any]]:
+    """The cosine for one tissue, energy and each resolution, and the cost of the gradient."""
+    model = jt.tube_model(domain, len(place), tension=1.0, cell_energy=ENERGIES[energy])
+    neighbors, ways, expected = jt.NeighborList.allocate(place, domain), [], []
+    units = np.array([1, float(domain.basal_radius)]) if isinstance(domain, jt.Tube) else 1.0
     for seed in range(DIRECTIONS):
         way = np.random.default_rng(seed).normal(size=place.shape)
-        way /= np.linalg.norm(way) * units
-        found.append((gradient * way).sum())
-        expected.append((true_energy(place + STEP * way) - true_energy(place - STEP * way)) / (2 * STEP))
-    cosine = np.dot(found, expected) / np.linalg.norm(found) / np.linalg.norm(expected)
-    times = [median_seconds(function, jnp.asarray(place)) for function in (jax.jit(value), both)]
-    row = {"tube": name, "resolution": size, "energy": energy, "cosine": float(cosine)}
-    print(row, flush=True)
-    return row | {"energy_seconds": times[0], "with_gradient_seconds": times[1]}
+        if place.shape[1] == 3:
+            way -= (way * place).sum(axis=1, keepdims=True) * place
+        ways.append(way / np.linalg.norm(way) / units)
+        ends = [true_sizes(moved(place, step * ways[-1], domain), domain) for step in (STEP, -STEP)]
+        high, low = (float(ENERGIES[energy](end, model).sum()) for end in ends)
+        expected.append((high - low) / (2 * STEP))
+    rows = []
+    for size in sizes:
+
+        def value(place: jax.Array, size: str = size) -> jax.Array:
+            return jt.tissue_energy(place, model, neighbors, size)
+
+        both = jax.jit(jax.value_and_grad(value))
+        gradient = np.asarray(both(jnp.asarray(place))[1])
+        found = [(gradient * way).sum() for way in ways]
+        cosine = np.dot(found, expected) / np.linalg.norm(found) / np.linalg.norm(expected)
+        row = {"tissue": name, "resolution": size, "energy": energy, "cosine": float(cosine)}
+        print(row, flush=True)
+        times = [median_seconds(function, jnp.asarray(place)) for function in (jax.jit(value), both)]
+        rows.append(row | {"energy_seconds": times[0], "with_gradient_seconds": times[1]})
+    return rows
 
 
 def median_seconds(function: Any, place: jax.Array) -> float:
@@ -72,8 +108,11 @@ def median_seconds(function: Any, place: jax.Array) -> float:
 if __name__ == "__main__":
     path = common.output((__doc__ or "").split("\n")[0], "gradients")
     jax.config.update("jax_enable_x64", True)
-    rows = [
-        measured(name, size, energy) for name in NAMES for size in ("standard", "fine", "traced") for energy in ENERGIES
-    ]
+    rows = []
+    for energy in ENERGIES:
+        for name, (tube, place) in tubes().items():
+            rows += measured(name, tube, place, energy, ("standard", "fine", "traced"))
+        for name, (domain, place) in domains().items():
+            rows += measured(name, domain, place, energy, ("standard", "fine"))
     load = {"load_average": os.getloadavg(), "cores": len(os.sched_getaffinity(0))}
     common.write(path, {"directions": DIRECTIONS} | load | {"rows": rows})
