@@ -21,7 +21,7 @@ def _nodes(domain: Domain, positions: Array) -> Array:
     """The ends of the straight pieces of backbones and of their copies, [pieces + 1, e, 3]."""
     if positions.ndim == 2:
         positions = jnp.stack([positions, positions], axis=1)
-    return rows(node_points(with_copies(as_nodes(positions, domain), domain), domain))
+    return jnp.swapaxes(rows(node_points(with_copies(as_nodes(positions, domain), domain), domain)), 0, 1)
 
 
 class Crowd:

@@ -173,7 +173,7 @@ def _embed(domain: Domain, positions: jax.Array) -> jax.Array:
 
 @jax.jit
 def _embed_nodes(domain: Domain, positions: jax.Array) -> jax.Array:
-    return jnp.swapaxes(as_rows(node_points(as_nodes(positions, domain), domain)), 0, 1)
+    return as_rows(node_points(as_nodes(positions, domain), domain))
 
 
 @jax.jit

@@ -23,7 +23,7 @@ FLAT = 1e-3  # the sine of the angle of a backbone and a layer below which it is
 
 
 class Nodes(NamedTuple):
-    """The nodes of backbones, [k, n]: points of the base surface, each nearest to the one before, and heights."""
+    """The nodes of backbones, [..., k]: points of the base surface, each nearest to the one before, and heights."""
 
     place: Vector
     height: Array
@@ -55,37 +55,38 @@ def heights_of(positions: np.ndarray, domain: Domain) -> Float[np.ndarray, "n k"
 def as_nodes(positions: Float[Array, "n k d"], domain: Domain) -> Nodes:
     """The nodes of positions, those beyond a seam or a period put beside the node before."""
     size = len(domain.columns)
-    place = tuple(positions[..., axis].T for axis in range(size))
+    place = tuple(positions[..., axis] for axis in range(size))
     if positions.shape[-1] > size:
-        height = positions[..., -1].T
+        height = positions[..., -1]
     else:
         steps = jnp.linspace(0, 1, positions.shape[1], dtype=positions.dtype)
-        height = jnp.broadcast_to(steps[:, None], place[0].shape)
-    return Nodes(_unrolled(domain.base, place), height)
+        height = jnp.broadcast_to(steps, place[0].shape)
+    return Nodes(unrolled(domain.base, place), height)
 
 
-def _unrolled(base: Rectangle | UnitSphere, place: Vector) -> Vector:
+def unrolled(base: Rectangle | UnitSphere, place: Vector) -> Vector:
+    """The places of nodes [n, k], each put nearest to the one before."""
     if not isinstance(base, Rectangle):
         return place
     parts = []
     for part, extent, direction in zip(place, base.extent, base.directions, strict=True):
         if direction != "free":
-            turns = jnp.cumsum(jnp.round(jnp.diff(part, axis=0) / extent), axis=0)
-            part = part - extent * jnp.concatenate([jnp.zeros_like(part[:1]), turns])
+            turns = jnp.cumsum(jnp.round(jnp.diff(part) / extent), axis=1)
+            part = part - extent * jnp.concatenate([jnp.zeros_like(part[:, :1]), turns], axis=1)
         parts.append(part)
     return tuple(parts)
 
 
 def with_copies(nodes: Nodes, domain: Domain) -> Nodes:
-    """The nodes of all backbones and then those of their copies beyond periodic directions, [k, copies n]."""
-    copies, (k, _) = domain.base.images(), nodes.height.shape
+    """The nodes of all backbones and then those of their copies beyond periodic directions, [copies n, k]."""
+    copies, (_, k) = domain.base.images(), nodes.height.shape
     if not isinstance(domain.base, Rectangle) or len(copies) == 1:
         return nodes
     place = tuple(
-        (part[:, None] + copies[:, axis, None] * jnp.asarray(extent)).reshape(k, -1).astype(part.dtype)
+        (part + copies[:, axis, None, None] * jnp.asarray(extent)).reshape(-1, k).astype(part.dtype)
         for axis, (part, extent) in enumerate(zip(nodes.place, domain.base.extent, strict=True))
     )
-    return Nodes(place, jnp.tile(nodes.height, (1, len(copies))))
+    return Nodes(place, jnp.tile(nodes.height, (len(copies), 1)))
 
 
 def node_points(nodes: Nodes, domain: Domain) -> Vector:
@@ -100,10 +101,11 @@ def on_layers(nodes: Nodes, domain: Domain, heights: Float[Array, " layers"]) ->
     On the way from node to node in the base surface, and from there by a step of Newton's method to where the straight
     line between them meets the layer.
     """
-    level = jnp.broadcast_to(heights[:, None], (heights.shape[0], nodes.height.shape[1]))
-    first = (nodes.height[1:-1] <= level[:, None]).sum(axis=1)
+    level = jnp.broadcast_to(heights[:, None], (heights.shape[0], nodes.height.shape[0]))
+    first = (nodes.height[:, 1:-1] <= level[..., None]).sum(axis=-1)
+    cell = jnp.arange(nodes.height.shape[0])
     ends = [
-        jax.tree.map(lambda table, at=at: jnp.take_along_axis(table, first + at, axis=0),
+        jax.tree.map(lambda table, at=at: table[cell, first + at],
                      (nodes.place, nodes.height, node_points(nodes, domain)))
         for at in (0, 1)
     ]  # fmt: skip
@@ -123,8 +125,8 @@ def on_layers(nodes: Nodes, domain: Domain, heights: Float[Array, " layers"]) ->
     return domain.base.chart(guess, step)
 
 
-def ends_on(positions: np.ndarray, surface: str, domain: Domain) -> Float[np.ndarray, "n d"]:
+def ends_on(positions: np.ndarray, surface: str, domain: Tube | Domain) -> Float[np.ndarray, "n d"]:
     """The points of the base surface where backbones end on the `apical` or `basal` surface."""
-    if positions.ndim == 2:
+    if positions.ndim == 2 or isinstance(domain, Tube):
         return positions
     return positions[:, -1 if surface == "basal" else 0, : len(domain.columns)]

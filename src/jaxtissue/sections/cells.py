@@ -98,7 +98,7 @@ def cell_view(
         crowd, centers = gather_crowd(domain, place), jax.tree.map(some, place)
     else:
         nodes = as_nodes(positions, domain)
-        crowd, centers = gather_bent(domain, nodes), tuple(some(part.T).T for part in on_layers(nodes, domain, heights))
+        crowd, centers = gather_bent(domain, nodes), on_layers(jax.tree.map(some, nodes), domain, heights)
     own = jax.tree.map(some, crowd.segments)
     rivals = jax.tree.map(lambda table: take_rows(table, lists), crowd.segments)
     # a candidate that is not there stands apart, lest it be the cell itself

@@ -11,7 +11,7 @@ from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.nodes import Nodes, node_points, with_copies
 from jaxtissue.geometry.vectors import Vector, subtract
-from jaxtissue.sections.views import Backbones, Polylines, Segments
+from jaxtissue.sections.views import Backbones, Segments, through
 
 NEAREST = 16  # at each of three points of a backbone, of bent ones at each of up to six
 SAMPLES = 9  # points of a backbone that are searched
@@ -57,13 +57,7 @@ def gather_crowd(domain: Domain, place: Vector) -> Crowd:
 
 def gather_bent(domain: Domain, nodes: Nodes) -> Crowd:
     """The tilted or bent backbones of all cells, and their copies."""
-    points = node_points(with_copies(nodes, domain), domain)
-    start, along = tuple(part[:-1] for part in points), tuple(jnp.diff(part, axis=0) for part in points)
-    if len(start[0]) == 1:
-        segments = Segments(tuple(part[0] for part in start), tuple(part[0] for part in along))
-    else:
-        segments = Polylines(tuple(part.T for part in start), tuple(part.T for part in along))
-    return Crowd(segments, nodes.height.shape[1])
+    return Crowd(through(node_points(with_copies(nodes, domain), domain)), len(nodes.height))
 
 
 def first_lists(crowd: Crowd, nearest: int = NEAREST) -> Int[np.ndarray, "q n"]:

@@ -57,7 +57,7 @@ def clearances(view: View, polygons: Polygon, unit: Float[Array, "layers 1"]) ->
     x, y, offset = (table[:candidates, None] for table in (*planes.normal, planes.offset))
     room = (offset - x * rough[0] - y * rough[1]) / unit
     room = jnp.where(is_edge, room, FAR).min(axis=(1, 2))
-    apart = subtract(view.rivals.start, view.own.start)
+    apart = subtract(view.rivals.apical, view.own.apical)
     half = 2 * jnp.sqrt(dot(apart, apart)) * unit
     for k in range(polygons.spare.shape[0]):
         point = jax.tree.map(lambda table, k=k: table[k], polygons.point)

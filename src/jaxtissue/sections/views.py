@@ -19,6 +19,11 @@ class Segments(NamedTuple):
     start: Vector
     along: Vector
 
+    @property
+    def apical(self) -> Vector:
+        """The apical ends."""
+        return self.start
+
     def offset(self, point: Vector) -> Vector:
         """From the nearest point of each backbone to a point."""
         way = subtract(point, self.start)
@@ -40,6 +45,11 @@ class Polylines(NamedTuple):
     start: Vector
     along: Vector
 
+    @property
+    def apical(self) -> Vector:
+        """The apical ends, of tables `on_layers`."""
+        return tuple(part[..., 0, :, :] for part in self.start)
+
     def offset(self, point: Vector) -> Vector:
         """From the nearest point of each backbone to a point."""
         away = Segments(*self).offset(tuple(part[..., None, :, :] for part in point))
@@ -58,6 +68,14 @@ class Polylines(NamedTuple):
 
 
 Backbones = Segments | Polylines
+
+
+def through(nodes: Vector) -> Backbones:
+    """The backbones through nodes in space, [..., k]."""
+    start, along = tuple(part[..., :-1] for part in nodes), tuple(jnp.diff(part) for part in nodes)
+    if start[0].shape[-1] > 1:
+        return Polylines(start, along)
+    return jax.tree.map(lambda part: part[..., 0], Segments(start, along))
 
 
 class View(NamedTuple):
