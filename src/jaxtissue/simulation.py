@@ -27,7 +27,7 @@ from jaxtissue.measurement.quadrature import Resolution
 from jaxtissue.system.frames import as_frame
 from jaxtissue.tissue.measurer import measure_tissue
 
-Callback = Callable[[SweepRecord, Float[np.ndarray, "n d"]], Any]
+Callback = Callable[[SweepRecord, Float[np.ndarray, "n *k d"]], Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +36,14 @@ class AnnealResult:
 
     Attributes:
         positions: Axial position and angle in radians of each backbone after the last sweep, shape [n, 2]; on other
-            domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+            domains coordinates of shape [n, 2] or unit vectors of shape [n, 3], or those of nodes, with one axis more.
         cells: Sizes of the cells after the last sweep with error estimates, a `CellGeometry` measured at "standard".
             Lateral areas are plain areas, also if the model has an `adhesion`.
         records: One `SweepRecord` for the initial state and one after each sweep, sweeps + 1 in total.
         model: Energy model of the run.
     """
 
-    positions: Float[np.ndarray, "n d"]
+    positions: Float[np.ndarray, "n *k d"]
     cells: CellGeometry
     records: list[SweepRecord]
     model: Model
@@ -95,6 +95,8 @@ def anneal(
     Args:
         positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
             columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+            On domains other than `Tube` backbones may be tilted or bent: [n, k, 2] or [n, k, 3] for k nodes, as in
+            `measure_tissue`. A move then takes one node, drawn at random, to another point of its height.
         domain: The tube or other domain.
         sweeps: Number of sweeps, each with one proposed move per cell. Defaults to 100.
         temperature: Temperature T in energy units, at least 0: one number (default 2), or one per sweep, shape
@@ -104,7 +106,7 @@ def anneal(
         model: Energy model; see `tube_model`. Defaults to the paper's energy, E = sum of K/2 (Vbar - V_i)^2 + Lambda
             A_i with K = 1 and Lambda = 0.4.
         callback: Function `callback(record, positions)` called after each sweep, with a `SweepRecord` and the positions
-            of shape [n, 2] (or [n, 3]). A true return value ends the run; sweeps of the same span that have already
+            of the given shape. A true return value ends the run; sweeps of the same span that have already
             been computed, at most nine, are then discarded. Defaults to None.
 
     Returns:
@@ -120,7 +122,7 @@ def anneal(
     >>> len(result.energies), bool(result.energies[-1] < result.energies[0])
     (6, True)
     """
-    place = as_positions_on(positions, domain)
+    place = as_positions_on(positions, domain, bent=isinstance(domain, Domain))
     model = model if model is not None else tube_model(domain, len(place))
     if not _are_same(model.domain, domain):
         kind = "tube" if isinstance(domain, Tube) else "domain"

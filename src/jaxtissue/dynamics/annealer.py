@@ -35,7 +35,7 @@ from jaxtissue.neighbors.search import Attempt, tiling_defect
 from jaxtissue.neighbors.shortlists import shortlist_length
 
 ALGORITHMS = ("is-mh", "mh")
-Advance = tuple["AnnealState", list[SweepRecord], Float[np.ndarray, "sweeps n 2"]]
+Advance = tuple["AnnealState", list[SweepRecord], Float[np.ndarray, "sweeps n *k d"]]
 
 
 def renews_at(sweep: int) -> bool:
@@ -49,12 +49,12 @@ class AnnealState(NamedTuple):
     Attributes:
         sweep: Number of sweeps done.
         positions: Axial position and angle in radians of each backbone, shape [n, 2]; on other domains coordinates of
-            shape [n, 2] or unit vectors of shape [n, 3].
+            shape [n, 2] or unit vectors of shape [n, 3], or those of nodes, with one axis more.
         around: Internal: current size of the lists of cells around each cell.
     """
 
     sweep: int
-    positions: Float[np.ndarray, "n d"]
+    positions: Float[np.ndarray, "n *k d"]
     around: int = 0
 
 
@@ -123,7 +123,7 @@ class Annealer:
         self.seed, self.temperatures = seed, temperatures
         self.compile_seconds = 0.0
         self._lines: dict[int, tuple[Lines, Lines]] = {}  # for each number of cells
-        self._last: tuple[Float[np.ndarray, "n d"], Any] | None = None  # the tissue measured last
+        self._last: tuple[Float[np.ndarray, "n *k d"], Any] | None = None  # the tissue measured last
         self._on_domain: DomainRun | None = None
         if isinstance(model.domain, Domain):
             self._on_domain = domain_run(self.model, resolution, seed, temperatures)
@@ -134,13 +134,13 @@ class Annealer:
 
         Args:
             positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2]; on other
-                domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+                domains coordinates or unit vectors [n, d], or nodes of shape [n, k, d] or [n, k, d + 1]; see `anneal`.
 
         Raises:
             ValueError: If a position is invalid, or if the number of positions does not match the model.
         """
         domain = self.model.domain
-        own = np.asarray(as_positions_on(positions, domain))
+        own = np.asarray(as_positions_on(positions, domain, bent=isinstance(domain, Domain)))
         check_numbers(self.model, len(own))
         if isinstance(domain, Tube):
             warn_of_coarse_places(self.model, len(own), own.dtype)
@@ -151,7 +151,7 @@ class Annealer:
         return record_together([self], [state])[0]
 
     @usual_modes()
-    def measure(self, positions: Float[np.ndarray, "n 2"]) -> CellGeometry:
+    def measure(self, positions: Float[np.ndarray, "n *k d"]) -> CellGeometry:
         """Measure volumes and lateral areas at positions [n, 2], with the resolution and adhesion of the annealing."""
         if self._on_domain:
             return self._on_domain.survey(positions, Batch()).state.cells.sizes
@@ -166,7 +166,7 @@ class Annealer:
         """
         return advance_together([self], [state])[0]
 
-    def _known(self, positions: Float[np.ndarray, "n d"]) -> Any:
+    def _known(self, positions: Float[np.ndarray, "n *k d"]) -> Any:
         """The tissue as measured last, if these are its positions."""
         return self._last[1] if self._last and np.array_equal(self._last[0], positions) else None
 

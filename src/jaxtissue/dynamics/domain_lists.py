@@ -1,7 +1,7 @@
 """Neighbor lists for sweeps on any domain: complete lists from a survey of all cells, and short lists for a span."""
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -12,11 +12,10 @@ from jaxtissue.compilation.batching import Batch
 from jaxtissue.dynamics.domain_sweeps import survey_cells
 from jaxtissue.dynamics.domain_updates import Scene, Surroundings, TissueState
 from jaxtissue.dynamics.surface_moves import RADIUS
-from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.vectors import components
 from jaxtissue.measurement.cell_geometry import CellGeometry
+from jaxtissue.neighbors.section_lists import crowd_of
 from jaxtissue.sections.cells import MANY_SLOTS
-from jaxtissue.sections.crowd import STEP, Crowd, extended, first_lists, gather_crowd, missing, padded
+from jaxtissue.sections.crowd import STEP, extended, first_lists, missing, padded
 from jaxtissue.sections.polygons import Rule
 
 ROUNDS = 8  # of looking for missing neighbors
@@ -28,6 +27,7 @@ MARGIN = 0.25  # mean lengths of sections by which the line of such a candidate 
 class Measured(NamedTuple):
     """A tissue as measured on complete lists: its cells, the lists, and by how much each candidate misses its cell."""
 
+    positions: Float[np.ndarray, "n *k d"]
     state: TissueState
     rivals: Int[np.ndarray, "n q"]
     clear: Float[np.ndarray, "n q"]
@@ -56,20 +56,15 @@ class Measured(NamedTuple):
         return sparse.csr_array(graph + graph.T)
 
 
-@jax.jit
-def _segments(domain: Domain, positions: Any) -> Any:
-    return gather_crowd(domain, components(positions)).segments
-
-
 def survey(
-    positions: Float[np.ndarray, "n d"], scene: Scene, batch: Batch, also: Int[np.ndarray, "n k"] | None = None
+    positions: Float[np.ndarray, "n *k d"], scene: Scene, batch: Batch, also: Int[np.ndarray, "n q"] | None = None
 ) -> Measured:
     """Measure all cells on lists that grow until no candidate is missing, with slots for all edges.
 
     Other candidates may be listed `also`: a far one that is a side in the first pass can change the last digits.
     """
     n = len(positions)
-    crowd = Crowd(_segments(scene.domain, positions), n)
+    crowd = crowd_of(scene.domain, positions)
     lists, rounds = first_lists(crowd, NEAREST), 0
     if also is not None:
         cell, slot = np.nonzero(also >= 0)
@@ -86,7 +81,7 @@ def survey(
         pairs, unproved = missing(crowd, lists, found.points[there].astype(float), found.cells[there])
         if not len(pairs) or rounds == ROUNDS:
             unit, unproved = float(np.sqrt(np.pi) * scene.longest / RADIUS), unproved + len(pairs)
-            return Measured(found.state, rivals, found.clear, found.is_cut, unproved, scene.rule, unit)
+            return Measured(positions, found.state, rivals, found.clear, found.is_cut, unproved, scene.rule, unit)
         lists = extended(lists, pairs)
 
 

@@ -7,12 +7,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.compilation.fusion import take_rows
+from jaxtissue.dynamics.domain_places import Place, as_place, as_rows, at, copied, propose
 from jaxtissue.dynamics.domain_updates import (
     Scene,
     TissueState,
     apply,
-    at,
-    copied,
     find,
     find_changed,
     gather_round,
@@ -23,8 +22,6 @@ from jaxtissue.dynamics.domain_updates import (
 from jaxtissue.dynamics.local_updates import find_collisions
 from jaxtissue.dynamics.metropolis import Order, Outcome, SweepInfo, play_rounds
 from jaxtissue.dynamics.spans import Trail
-from jaxtissue.dynamics.surface_moves import propose_moves
-from jaxtissue.geometry.vectors import Vector, components, rows
 from jaxtissue.sections.cells import cell_sizes, corner_points
 from jaxtissue.sections.influence import clearances
 
@@ -32,7 +29,7 @@ from jaxtissue.sections.influence import clearances
 class Proposals(NamedTuple):
     """The moves of a sweep: the new places, the numbers drawn for acceptance, Hastings ratios, and the temperature."""
 
-    place: Vector
+    place: Place
     chance: Float[Array, "n"]
     log_ratio: Float[Array, "n"]
     temperature: Float[Array, ""]
@@ -58,9 +55,9 @@ class Survey(NamedTuple):
     is_cut: Bool[Array, " n"]
 
 
-def survey_cells(positions: Float[Array, "n d"], scene: Scene) -> Survey:
+def survey_cells(positions: Float[Array, "n *k d"], scene: Scene) -> Survey:
     """Measure all cells on the lists of the scene."""
-    place, rivals = components(positions), jnp.asarray(scene.near.rivals).T
+    place, rivals = as_place(positions, scene.domain), jnp.asarray(scene.near.rivals).T
     numbers = jnp.arange(len(positions))
     owners, copies = jnp.maximum(rivals, 0) % len(positions), jnp.maximum(rivals, 0) // len(positions)
     others = copied(scene.domain, at(place, owners), copies)
@@ -79,14 +76,14 @@ def survey_cells(positions: Float[Array, "n d"], scene: Scene) -> Survey:
 
 
 def sweep(
-    draws: Float[Array, "3 n"], state: TissueState, scene: Scene, temperature: Float[Array, ""], order: Order
+    draws: Float[Array, "rows n"], state: TissueState, scene: Scene, temperature: Float[Array, ""], order: Order
 ) -> tuple[TissueState, SweepInfo, Bool[Array, ""]]:
     """Play one move for every cell, as drawn, round by round; also whether a cell had more edges than there are slots.
 
     As on tubes, a move that would change a cell which an earlier move of its round changes too is put off to the
     rounds at the end.
     """
-    place, log_ratio = propose_moves(draws[:2], state.place, scene.domain, jnp.asarray(scene.longest, draws.dtype))
+    place, log_ratio = propose(draws, state.place, scene.domain, jnp.asarray(scene.longest, draws.dtype))
     proposals = Proposals(place, draws[2], log_ratio, temperature)
 
     def play(movers: Array, state: TissueState, lacks: Array) -> tuple[TissueState, Outcome, Array]:
@@ -123,7 +120,7 @@ def play_round(
 
 
 def play(
-    draws: Float[Array, "sweeps 3 n"],
+    draws: Float[Array, "sweeps rows n"],
     state: TissueState,
     scene: Scene,
     temperatures: Float[Array, "sweeps"],
@@ -134,7 +131,6 @@ def play(
     def one(state: TissueState, this: tuple) -> tuple[TissueState, tuple[Trail, Array]]:
         drawn, temperature, order = this
         state, info, lacks_slots = sweep(drawn, state, scene, temperature, order)
-        positions = rows(scene.domain.base.wrap(state.place))
-        return state, (Trail(state.cells.sizes, positions, info), lacks_slots)
+        return state, (Trail(state.cells.sizes, as_rows(state.place, scene.domain), info), lacks_slots)
 
     return jax.lax.scan(one, state, (draws, temperatures, orders))[1]

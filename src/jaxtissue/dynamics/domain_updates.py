@@ -13,17 +13,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxtissue.compilation.fusion import SCATTER, take_rows
+from jaxtissue.dynamics.domain_places import Place, at, centers, copied, segments, with_moved
 from jaxtissue.dynamics.local_updates import pack, update_capacity
 from jaxtissue.energy import Model, cell_energies
-from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.vectors import Vector, dot, subtract
+from jaxtissue.geometry.vectors import dot
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.sections.cells import Layers
 from jaxtissue.sections.half_planes import take
 from jaxtissue.sections.influence import Trace, sides, trace_of, would_be_side
 from jaxtissue.sections.polygons import Polygon, Rule, Sections, find_polygons, measure_polygons
-from jaxtissue.sections.views import Segments, View, look
+from jaxtissue.sections.views import View, look
 
 BLOCK = 32  # cells measured together: more would often be empty
 
@@ -64,7 +64,7 @@ class Cells(NamedTuple):
 class TissueState(NamedTuple):
     """Backbones and cells. Places go on beyond periods and turns, as lists hold copies by their numbers."""
 
-    place: Vector
+    place: Place
     cells: Cells
 
 
@@ -84,32 +84,17 @@ class Changes(NamedTuple):
     cells: Cells
 
 
-def at(place: Vector, numbers: Array) -> Vector:
-    """The places of the given numbers."""
-    return tuple(take_rows(part, numbers) for part in place)
-
-
-def copied(domain: Domain, place: Vector, copy: Int[Array, "..."]) -> Vector:
-    """The places of copies of backbones beyond periodic directions."""
-    shifts = domain.base.images()
-    if not isinstance(domain.base, Rectangle) or len(shifts) == 1:
-        return place
-    pairs = zip(place, shifts.T, domain.base.extent, strict=True)
-    return tuple(part + take_rows(jnp.asarray(shift, part.dtype), copy) * extent for part, shift, extent in pairs)
-
-
-def segments(domain: Domain, place: Vector) -> Segments:
-    """The backbones at places."""
-    apical, basal = domain.surfaces(place)
-    return Segments(apical, subtract(basal, apical))
-
-
-def find(own: Vector, rivals: Vector, is_there: Bool[Array, "q cells"], scene: Scene) -> tuple[View, Polygon]:
+def find(own: Place, rivals: Place, is_there: Bool[Array, "q cells"], scene: Scene) -> tuple[View, Polygon]:
     """The view of cells at places [cells] with rivals at places [q, cells], and their polygons, pass by pass."""
-    domain, dtype = scene.domain, own[0].dtype
-    heights = jnp.asarray(scene.layers.heights, dtype)
-    view = look(domain, own, heights, segments(domain, own), segments(domain, rivals), is_there)
+    domain, heights = scene.domain, heights_for(own, scene)
+    middle = centers(domain, own, heights)
+    view = look(domain, middle, heights, segments(domain, own), segments(domain, rivals), is_there)
     return view, find_polygons(domain, view, scene.rule)
+
+
+def heights_for(place: Place, scene: Scene) -> Float[Array, " layers"]:
+    """The heights of the layers, in the precision of places."""
+    return jnp.asarray(scene.layers.heights, jax.tree.leaves(place)[0].dtype)
 
 
 def measure(
@@ -135,7 +120,7 @@ def gather_round(movers: Int[Array, "width"], near: Surroundings) -> Round:
 
 
 def find_changed(
-    moves: Round, state: TissueState, proposed: Vector, scene: Scene
+    moves: Round, state: TissueState, proposed: Place, scene: Scene
 ) -> tuple[Bool[Array, "width around+1"], Int[Array, ""]]:
     """Which of the cells around a mover, and (last) the mover itself, its move changes; how many leave their cell."""
     domain, near, (n, q) = scene.domain, scene.near, state.cells.sides.shape
@@ -144,9 +129,9 @@ def find_changed(
     copy = take_rows(jnp.asarray(near.rivals).ravel(), entry) // n
     mover = jnp.broadcast_to(moves.movers[:, None], cells.shape).ravel()
     old, new = (segments(domain, copied(domain, at(place, mover), copy)) for place in (state.place, proposed))
-    place, height = at(state.place, cell), jnp.asarray(scene.layers.heights, state.place[0].dtype)
-    own, there = segments(domain, place), jnp.ones((1, len(cell)), bool)
-    view = look(domain, place, height, own, jax.tree.map(lambda part: part[None], new), there)
+    place, heights = at(state.place, cell), heights_for(state.place, scene)
+    middle, own, there = centers(domain, place, heights), segments(domain, place), jnp.ones((1, len(cell)), bool)
+    view = look(domain, middle, heights, own, jax.tree.map(lambda part: part[None], new), there)
     trace = jax.tree.map(lambda table: jnp.moveaxis(take_rows(table, cell), 0, -1), state.cells.trace)
     touched = take_rows(state.cells.sides.ravel(), entry) | would_be_side(domain, view, trace)
     is_move = (moves.movers >= 0)[:, None]
@@ -157,16 +142,17 @@ def find_changed(
         .at[row, take_rows(near.first, moves.movers)]
         .max(touched.reshape(cells.shape) & real, **SCATTER)
     )
-    nearer, stays = own.offset(new.start), old.offset(new.start)
+    before = jax.tree.map(lambda part: part[None], old).on_layers()
+    nearer, stays = view.own.offset(view.rivals.apical), before.offset(view.rivals.apical)
     left = (dot(nearer, nearer) < dot(stays, stays)).reshape(cells.shape) & real
     return jnp.concatenate([touched, is_move], axis=1), left.any(axis=1).sum(dtype=jnp.int32)
 
 
 def measure_changes(
-    changed: Bool[Array, "width around+1"], moves: Round, state: TissueState, proposed: Vector, scene: Scene
+    changed: Bool[Array, "width around+1"], moves: Round, state: TissueState, proposed: Place, scene: Scene
 ) -> Changes:
     """Measure every changed cell as if its one move were made, in as many blocks as it takes."""
-    domain, near, n = scene.domain, scene.near, len(state.place[0])
+    domain, near, n = scene.domain, scene.near, len(state.cells.spare)
     size = update_capacity(len(moves.movers), near)
     block = min(BLOCK, size)
     size = -(-size // block) * block
@@ -181,8 +167,8 @@ def measure_changes(
         to, rivals = at(proposed, its_mover), take_rows(near.rivals, which).T
         numbers = jnp.where(rivals < 0, which, rivals % n)
 
-        def moved(number: Array) -> Vector:
-            return tuple(jnp.where(number == its_mover, a, b) for a, b in zip(to, at(state.place, number), strict=True))
+        def moved(number: Array) -> Place:
+            return with_moved(at(state.place, number), to, number == its_mover)
 
         others = copied(domain, moved(numbers), jnp.maximum(rivals, 0) // n)
         view, polygons = find(moved(which), others, rivals >= 0, scene)
@@ -206,13 +192,13 @@ def local_differences(changes: Changes, state: TissueState, model: Model, width:
 
 
 def apply(
-    changes: Changes, accepted: Bool[Array, "items"], movers: Int[Array, "width"], proposed: Vector, state: TissueState
+    changes: Changes, accepted: Bool[Array, "items"], movers: Int[Array, "width"], proposed: Place, state: TissueState
 ) -> TissueState:
     """The state after the accepted moves, with the changes that belong to them."""
-    cell = jnp.where(accepted, changes.cell, len(state.place[0]))
+    cell = jnp.where(accepted, changes.cell, len(state.cells.spare))
 
     def moved(old: Array, new: Array) -> Array:
         return old.at[movers].set(take_rows(new, movers), **SCATTER)
 
     cells = jax.tree.map(lambda old, new: old.at[cell].set(new, **SCATTER), state.cells, changes.cells)
-    return TissueState(tuple(map(moved, state.place, proposed)), cells)
+    return TissueState(jax.tree.map(moved, state.place, proposed), cells)

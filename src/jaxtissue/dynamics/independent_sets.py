@@ -13,6 +13,7 @@ from jaxtissue.dynamics.coloring import color, distance_conflicts, hop_conflicts
 from jaxtissue.dynamics.local_updates import HasAround, update_capacity
 from jaxtissue.dynamics.metropolis import Order, move_bound
 from jaxtissue.energy import Model
+from jaxtissue.geometry.nodes import ends_on
 
 ROUNDS = 32  # sets that the cells are spread over at least: coloring takes 36 to 45
 MEAN_MOVE = 2 / 3  # of a move uniform in a disc, in its radius
@@ -28,7 +29,7 @@ def one_by_one(seed: int, sweep: int, cells: int) -> Int[np.ndarray, "cells 1"]:
 
 def independent_rounds(
     rule: str,
-    positions: Float[np.ndarray, "n 2"],
+    positions: Float[np.ndarray, "n *k d"],
     model: Model,
     contacts: Callable[[float], sparse.csr_array],
 ) -> Int[np.ndarray, "rounds width"]:
@@ -37,7 +38,7 @@ def independent_rounds(
     `contacts(within)` gives the pairs of cells that touch, or could if one of them moved by at most `within`. On a CPU
     rounds of many moves are cut along the tube, and all are played in one stretch of it before the next.
     """
-    n = len(positions)
+    n, along = len(positions), ends_on(positions, "apical", model.domain)[:, 0]
     if rule == "8-phi":
         place = jnp.asarray(positions)
         apical = np.asarray(model.tube.embed(place).apical)
@@ -46,8 +47,8 @@ def independent_rounds(
         graph = hop_conflicts(contacts(float(MEAN_MOVE * move_bound(model, n))), 2)
     else:
         graph = hop_conflicts(contacts(0.0), int(rule[0]))
-    rounds = color(graph, _uncut_width(n), np.argsort(positions[:, 0], kind="stable"))
-    return cut(rounds, positions[:, 0], _pieces(n))
+    rounds = color(graph, _uncut_width(n), np.argsort(along, kind="stable"))
+    return cut(rounds, along, _pieces(n))
 
 
 def round_width(cells: int) -> int:

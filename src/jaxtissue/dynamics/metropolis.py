@@ -69,12 +69,13 @@ class Order(NamedTuple):
     update_capacity: Int[Array | np.ndarray, ""]
 
 
-def draw(seed: int, sweep: int, cells: int, dtype: np.dtype) -> Float[np.ndarray, "3 n"]:
+def draw(seed: int, sweep: int, cells: int, dtype: np.dtype, kinds: int = 3) -> Float[np.ndarray, "kinds n"]:
     """Random numbers, uniform in [0, 1), for every cell in a sweep: distance, direction and acceptance of its move.
 
-    They are drawn on the host: a generator would be a seventh of what is compiled for sweeps.
+    A fourth tells which node of its backbone moves, if it has several. They are drawn on the host: a generator would
+    be a seventh of what is compiled for sweeps.
     """
-    return np.random.default_rng([seed, sweep, 1]).random((3, cells), dtype)
+    return np.random.default_rng([seed, sweep, 1]).random((kinds, cells), dtype)
 
 
 def propose(draws: Float[Array, "2 n"], place: BackboneCoords, model: Model) -> BackboneCoords:

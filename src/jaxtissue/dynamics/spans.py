@@ -21,7 +21,7 @@ class Trail(NamedTuple):
     """The sizes, backbones and counts after each sweep of a span, [sweeps, ...]."""
 
     sizes: CellGeometry
-    positions: Float[Array | np.ndarray, "sweeps n 2"]
+    positions: Float[Array | np.ndarray, "sweeps n *k d"]
     info: SweepInfo
 
 

@@ -22,7 +22,10 @@ NEAR = 100  # roundings, in units of R_b and of the angle: nearer, volumes err b
 FEW = 4  # nearest backbones, itself included, that are looked at
 TILT = 0.1  # radians by which rounding of two places may turn the wall between them
 NO_NUMBERS = str | bytes | bool | None  # though Python makes floats of some
-STRAIGHT = "tilted and bent backbones can only be measured (measure --no-contacts, compare); give straight ones here"
+STRAIGHT = (
+    "tilted and bent backbones can only be measured (measure --no-contacts, compare)"
+    " and, on domains other than Tube, annealed; give straight ones here"
+)
 X64 = "use 64 bits (--x64, jax_enable_x64)"
 
 

@@ -17,6 +17,7 @@ from jaxtissue.dynamics.schedules import has_stalled
 from jaxtissue.dynamics.sweep_log import AcceptanceWatch
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domain_positions import column_names
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.runs import formats, storage
 from jaxtissue.runs.preparing import Preparation
 from jaxtissue.runs.reports import contact_summary, contacts_of_run, tabulate_cells, write_contacts
@@ -41,7 +42,7 @@ def run_annealing(folder: Path, settings: Settings, force: bool = False, flat: b
     another run is at, or that can't be written; nothing is written then.
     """
     check_folder(folder, force)
-    initial, names = initial_backbones(settings)
+    initial, names = initial_backbones(settings, bent=isinstance(settings.place, Domain))
     precise = jnp.result_type(float) == jnp.float64
     settings = replace(settings, cells=len(initial), x64=precise)
     annealer = settings.annealer(settings.sweeps)
@@ -149,7 +150,7 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
     connectivity, place = None, run.state.positions
     beside = preparation or Preparation()
     beside.add(f"maps {run.state.sweep}", partial(_maps, run, place))
-    if "tissue" in formats.LEFT and not (flat or settings.no_contacts):
+    if "tissue" in formats.LEFT and not (flat or settings.no_contacts or place.ndim == 3):
         beside.add("outside", partial(_outside, run))
     say(
         "measuring cells and drawing figures"

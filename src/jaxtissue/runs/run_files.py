@@ -18,6 +18,7 @@ from jaxtissue.dynamics.annealer import Annealer, AnnealState, renews_at
 from jaxtissue.dynamics.memory import tell_memory
 from jaxtissue.geometry.domain_files import save_domain
 from jaxtissue.geometry.domain_positions import column_names
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import BackboneTable, read_backbones
@@ -83,10 +84,10 @@ class Run:
         self.write_manifest(**news, finished=None, files=self.checksums(INITIAL))
 
 
-def initial_backbones(settings: Settings) -> BackboneTable:
-    """The backbones that a run begins with, and their names."""
+def initial_backbones(settings: Settings, bent: bool = False) -> BackboneTable:
+    """The backbones that a run begins with, `bent` ones if it takes these, and their names."""
     if settings.backbones:
-        return read_backbones(Path(settings.backbones), settings.place, settings.degrees)
+        return read_backbones(Path(settings.backbones), settings.place, settings.degrees, bent)
     key = random_key(settings.seed)
     return BackboneTable(np.asarray(settings.place.random_positions(key, settings.cells)), None)
 
@@ -100,7 +101,7 @@ def begin(
     if isinstance(domain, Tube):
         say(tell_memory(len(initial), domain, settings.resolution, 8 if settings.x64 else 4))
     say(f"annealing {len(initial)} cells in {folder}: compiling")
-    state = annealer.start(domain.reflect(jnp.asarray(initial)))
+    state = annealer.start(domain.reflect(jnp.asarray(initial)) if initial.ndim == 2 else initial)
     record = annealer.record(state)
     make_folder(folder, FILES)
     storage.write_backbones(folder / INITIAL, initial, names, column_names(domain))
@@ -125,9 +126,10 @@ def take_up(folder: Path, given: Mapping[str, Any], finish: bool) -> Run | None:
         raise ValueError(f"{folder / 'manifest.json'} is damaged ({missing[0]!r} is missing); {AGAIN}")
     jax.config.update("jax_enable_x64", settings.x64)
     check_files(folder, {INITIAL: manifest["files"][INITIAL]}, AGAIN)
-    initial = read_backbones(folder / INITIAL, settings.place)
+    bent = isinstance(settings.place, Domain)
+    initial = read_backbones(folder / INITIAL, settings.place, bent=bent)
     if given.get("backbones"):
-        same = read_backbones(Path(given["backbones"]), settings.place, settings.degrees)
+        same = read_backbones(Path(given["backbones"]), settings.place, settings.degrees, bent)
         if same.names != initial.names or not np.array_equal(same.positions, initial.positions):
             raise ValueError(
                 f"--backbones {given['backbones']} differs from the backbones of the run to resume; remove --backbones"

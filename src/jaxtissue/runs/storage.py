@@ -22,7 +22,7 @@ class Checkpoint(NamedTuple):
 
     state: AnnealState
     kept_sweeps: Int[np.ndarray, "kept"]
-    kept_positions: Float[np.ndarray, "kept n 2"]
+    kept_positions: Float[np.ndarray, "kept n *k d"]
     rows: str
 
 
