@@ -3,10 +3,12 @@
 import jax
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 import jaxtissue as jt
 from jaxtissue.cli.commands import main
 from jaxtissue.compilation.batching import Batch
+from jaxtissue.dynamics.domain_lists import turning_cells
 from jaxtissue.dynamics.domain_runs import domain_run
 from jaxtissue.dynamics.independent_sets import independent_rounds
 from jaxtissue.energy import in_precision
@@ -71,6 +73,14 @@ def test_upright_backbones_by_their_ends_have_the_energy_of_straight_ones() -> N
     run = domain_run(in_precision(jt.tube_model(SLAB, CELLS), np.dtype(float)), "draft", 5, np.ones(1))
     straight, ends = (run.survey(some, Batch()) for some in (place, np.stack([place, place], axis=1)))
     assert energy_of(run, ends) == pytest.approx(energy_of(run, straight), rel=1e-10)
+    assert not len(turning_cells(ends, SLAB))
+    nearest = KDTree(place).query(place, 2)
+    first = int(nearest[0][:, 1].argmin())
+    pair = [first, int(nearest[1][first, 1])]
+    crossed = np.stack([place, place], axis=1)
+    crossed[pair, 1] = place[pair[::-1]] + 0.01
+    with pytest.warns(UserWarning, match=r"backbones of \d+ cells nearly cross"):
+        assert set(pair) <= set(turning_cells(run.survey(crossed, Batch()), SLAB).tolist())
 
 
 @pytest.mark.filterwarnings("ignore:the volume of .* of 40 cells may be wrong")  # "draft" of tilted cells

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtissue.compilation.batching import Batch
-from jaxtissue.dynamics.domain_lists import Measured, Shortlists, survey, with_slots
+from jaxtissue.dynamics.domain_lists import Measured, Shortlists, survey, turning_cells, with_slots
 from jaxtissue.dynamics.domain_sweeps import play
 from jaxtissue.dynamics.domain_updates import Scene, Surroundings
 from jaxtissue.dynamics.independent_sets import padded_orders
@@ -56,26 +56,29 @@ class DomainRun:
     def survey(self, positions: Float[np.ndarray, "n *k d"], batch: Batch) -> Measured:
         """Measure a tissue on complete lists; warns, once, of cells that cannot be trusted."""
         measured = survey(positions, self.scene, batch)
-        cut, off = int(measured.is_cut.sum()), self._tiling_defect(measured)
-        if (cut or measured.unproved or off > DEFECT) and not self._warned:
-            self._warned = True
+        cut = int(measured.is_cut.sum())
+        doubts = self._doubts(measured) if positions.ndim == 3 else []
+        if cut or measured.unproved:
             told = (
                 f"{cut} cells are too wide to be measured, and neighbors may be missing at {measured.unproved} corners"
             )
-            told += f"; volumes add up to {100 * off:.2g} % more or less than the tissue" * (off > DEFECT)
-            cure = "use more cells" + " or less tilted backbones" * (positions.ndim == 3)
-            warnings.warn(f"{told}; energies may be wrong: {cure}", stacklevel=4)
+            doubts.append(f"{told}; energies may be wrong: use more cells")
+        if doubts and not self._warned:
+            self._warned = True
+            warnings.warn("; ".join(doubts), stacklevel=4)
         return measured
 
-    def _tiling_defect(self, measured: Measured) -> float:
-        """By what part of the tissue the volumes of tilted and bent cells add up to more or less: 0 but for rounding.
-
-        Their sections may be in pieces, or turn quickly where backbones nearly cross.
-        """
-        if measured.positions.ndim == 2:
-            return 0.0
-        whole = float(self.model.domain.volume)
-        return abs(float(np.asarray(measured.state.cells.sizes.volume, float).sum()) / whole - 1)
+    def _doubts(self, measured: Measured) -> list[str]:
+        """What else tells that tilted and bent cells cannot be trusted: volumes add up to the tissue if they can."""
+        doubts, whole = [], float(self.model.domain.volume)
+        off = abs(float(np.asarray(measured.state.cells.sizes.volume, float).sum()) / whole - 1)
+        if len(cells := turning_cells(measured, self.model.domain)):  # type: ignore[arg-type]
+            some = ", ".join(map(str, cells[:8].tolist()))
+            told = f"the backbones of {len(cells)} cells nearly cross a neighbor's: cells {some}"
+            doubts.append(f"{told}; their sizes and energies may be wrong by much: tilt them less")
+        if off > DEFECT:
+            doubts.append(f"volumes add up to {100 * off:.2g} % more or less than the tissue; energies may be wrong")
+        return doubts
 
     def play(self, measured: Measured, plan: Plan, sweep: int, batch: Batch) -> Played:
         """Play sweeps from number `sweep` on, given their rounds; in parts, where lists turn out to lack a neighbor."""
