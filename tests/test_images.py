@@ -298,3 +298,52 @@ def test_an_ellipsoid_with_a_gap_is_found_where_it_was_drawn():
     np.testing.assert_allclose(np.abs(frame.axes @ TURNED.T), np.eye(3), atol=0.05)
     with pytest.raises(ValueError, match="do not enclose a lumen on all sides"):
         fit_ellipsoid(np.pad(np.ones((8, 8, 8), int), 2), np.ones(3))
+
+
+def drawn_sheet(slab, places, origin) -> tuple[np.ndarray, Frame]:
+    """A flat tissue in an image, turned, with flat voxels."""
+    frame, labels = Frame(np.array(origin), TURNED), np.arange(1, len(places) + 1)
+    shape = tuple(np.ceil(15 / np.array(SHELL_SPACING)).astype(int).tolist())
+    return draw_labels(slab, places, labels, frame, np.array(SHELL_SPACING)[::-1], shape)[0], frame
+
+
+def test_a_sheet_is_fitted_as_it_was_drawn():
+    """Turned, with 5 % of the voxels relabeled and a cell missing; and again where the image cuts it."""
+    slab, rng = jt.Slab(9, 8, 3), np.random.default_rng(0)
+    places = np.stack(np.meshgrid(np.arange(5), np.arange(4)), axis=-1).reshape(-1, 2) * [1.8, 2.0] + [0.9, 1.0]
+    places += rng.uniform(-0.45, 0.45, places.shape)
+    image, frame = drawn_sheet(slab, places, [1.5, 6.0, 10.0])
+    noisy = np.where(image == 9, 0, image)
+    at = (rng.random(image.shape) < 0.05) & (noisy > 0)
+    noisy[at] = rng.choice(np.setdiff1d(np.arange(21), [9]), at.sum())
+    fit = jt.fit_tissue(noisy, SHELL_SPACING, "slab")
+    np.testing.assert_allclose(sorted([fit.domain.width, fit.domain.depth]), [8, 9], atol=0.1)
+    assert fit.domain.thickness == pytest.approx(3, abs=0.05)
+    true = embedded(slab, places[fit.labels - 1], frame)
+    for found, end in zip(embedded(fit.domain, fit.positions, fit.frame), true, strict=True):
+        assert np.sqrt(((found - end) ** 2).sum(axis=1).mean()) < 0.38  # a voxel, of which a cell has 900
+    assert (fit.voxels == image)[(image > 0) & (image != 9)].mean() > 0.97
+    assert fit.report["cells_at_border"] == 0 and fit.report["cells_beside_gap"] > 0
+    assert {"x", "y", "image_volume", "model_apical_area"} < fit.columns().keys()
+    cut = image[:, :, : image.shape[2] // 2]
+    fit = jt.fit_tissue(cut, SHELL_SPACING, "slab")
+    touched = np.unique(cut[:, :, -1])
+    np.testing.assert_array_equal(fit.labels[fit.cells.at_border], touched[touched > 0])
+    assert fit.report["voxels_same"] > 0.97
+
+
+def embedded(domain, positions, frame) -> list[np.ndarray]:
+    """Both ends of backbones in the image."""
+    backbones = domain.embed(positions)
+    return [frame.to_image(np.asarray(end, float)) for end in (backbones.apical, backbones.basal)]
+
+
+def test_what_is_no_sheet_is_refused_and_missing_contacts_are_not_counted():
+    points = np.argwhere(np.ones((24, 24, 24), bool)) - 11.5
+    ball = np.where(np.linalg.norm(points, axis=1) < 10, 1 + (points[:, 0] > 0), 0).reshape(24, 24, 24)
+    shell = np.where(np.linalg.norm(points, axis=1).reshape(24, 24, 24) > 5, ball, 0)
+    with pytest.warns(UserWarning, match="contacts of the fitted cells are not computed: .* no three of the 2 cells"):
+        fit = jt.fit_tissue(shell, (1, 1, 1), "sphere")
+    assert "nan" not in repr(fit) and "of the voxels agree" in repr(fit)
+    with pytest.raises(ValueError, match="no two parallel flat surfaces"):
+        jt.fit_tissue(1 + (ball > 1), (1, 1, 1), "slab")  # the image has no background

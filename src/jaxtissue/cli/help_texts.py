@@ -39,8 +39,9 @@ the results in DIR/table.csv. Repeat the command to compute missing rows.""",
 Measure the cells of given backbones: volumes, areas, neighbors, scutoids.
 Needs the three sizes of the tube, or --domain.""",
     "fit": """\
-Fit a tube and its backbones to a segmented image. The commands measure and
-anneal continue from the files that this command writes.""",
+Fit a tube, flat sheet or closed shell and its backbones to a segmented image.
+The commands measure and anneal continue from the files that this command
+writes.""",
     "compare": """\
 Compare the cell sizes of each preset with those of a slow independent method.
 Needs the three sizes of the tube, or --domain.""",

@@ -225,7 +225,8 @@ def _add_fit(command: argparse.ArgumentParser) -> None:
                          "outside: .tif, .tiff or .npy")  # fmt: skip
     command.add_argument("--spacing", type=number_of(0, above=True), nargs=3, metavar=("Z", "Y", "X"), help=
                          "sides of a voxel (default: read from the file)")  # fmt: skip
-    command.add_argument("--shape", choices=tuple(FITTERS), default="tube", help="shape of the tissue (default: tube)")
+    command.add_argument("--shape", choices=tuple(FITTERS), default="tube", help="shape of the tissue: slab is a flat "
+                         "sheet, sphere and ellipsoid are closed round a lumen (default: tube)")  # fmt: skip
     _add_flat(command)
     _add_folder(command, required=True)
 

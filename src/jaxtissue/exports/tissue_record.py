@@ -11,12 +11,11 @@ from jaxtyping import Float
 from jaxtissue.geometry.domain_positions import column_names, ends_in_space
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
+from jaxtissue.measurement.cell_geometry import SIZES
 from jaxtissue.meshes.cell_meshes import TOLERANCE, CellMeshes, mesh_cells
 from jaxtissue.meshes.shapes import ratio, tabulate_shapes
 from jaxtissue.topology.contacts import Contacts
 from jaxtissue.topology.statistics import Connectivity, find_connectivity, tabulate_connectivity
-
-_SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimeter", "basal_perimeter")
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ class TissueRecord:
         if self.measure and isinstance(self.domain, Domain):
             sizes = self.measure(self.positions, self.domain)
         if sizes is not None:
-            columns |= {name: np.asarray(getattr(sizes, name), float) for name in _SIZES}
+            columns |= {name: np.asarray(getattr(sizes, name), float) for name in SIZES}
         else:
             columns |= {"volume": self.meshes.volumes()}
         columns |= {"is_end": self.connectivity.is_end} | tabulate_connectivity(self.connectivity)

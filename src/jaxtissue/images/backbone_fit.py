@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import sparse
+from scipy.sparse.linalg import spsolve
 
 from jaxtissue.compilation.modes import usual_modes
 
 OUTLIER = 0.5  # voxels off the wall from which on a point counts less and less
-ROUNDS = 3  # in each, distances are divided by the slopes of the round before
-STEPS = 30  # of least squares in a round
-TOLERANCE = 1e-6  # relative, of a step or of the sum of squares, that ends a round
+STEPS = 40  # of least squares at most
+DAMPING, LEAST, MOST, TINY = 1e-3, 1e-8, 1e3, 1e-12  # of the diagonal; the last one where a cell has no walls
+TOLERANCE = 1e-3  # voxels by which the last step moves backbones
 
 
 class WallPoints(NamedTuple):
@@ -56,41 +57,57 @@ def fit_backbones(
     Returns:
         The positions, [n, k].
     """
-    from scipy.optimize import least_squares
-
     cells, width = start.shape
-    scale = _scales(domain, start)
-    positions = start
-    root = np.sqrt(walls.areas / walls.areas.mean())
-    row = np.repeat(np.arange(len(root)), 2 * width)
+    scale, row = _scales(domain, start), np.repeat(np.arange(len(walls.areas)), 2 * width)
     column = (walls.pairs[:, :, None] * width + np.arange(width)).ravel()
-    for _ in range(ROUNDS):
-        feet = _find_feet(domain, positions, walls)
-        apart = 2 * np.linalg.norm(feet[0].place - feet[1].place, axis=1)
-        weight = root / step / np.maximum(apart, 1e-3 * step)
-
-        def miss(change: np.ndarray, begin=positions, weight=weight) -> np.ndarray:
-            first, second = _find_feet(domain, begin + change.reshape(cells, width) * scale, walls)
-            return (first.square - second.square) * weight
-
-        def slopes(change: np.ndarray, begin=positions, weight=weight) -> Any:
-            moved = begin + change.reshape(cells, width) * scale
-            feet = _find_feet(domain, moved, walls)
-            first, second = _embed_slopes(domain, moved)
-            values = np.stack([_slope(walls, feet[side], first, second, side) * scale for side in (0, 1)], axis=1)
-            values[:, 1] *= -1
-            return sparse.csr_array(((values * weight[:, None, None]).ravel(), (row, column)), (len(root), start.size))
-
-        jacobian: Any = slopes
-        found = least_squares(
-            miss, np.zeros(start.size), jacobian, loss="soft_l1", f_scale=OUTLIER, tr_solver="lsmr",
-            ftol=TOLERANCE, xtol=TOLERANCE, max_nfev=STEPS,
-        )  # fmt: skip
-        moved = settle(positions + found.x.reshape(cells, width) * scale)
-        change, positions = np.abs(moved - positions) / scale, moved
-        if change.max() < 1e-3 * step:
+    positions, root, damping = start, np.sqrt(walls.areas / walls.areas.mean()), DAMPING
+    found = _look(domain, positions, walls, step, root)
+    for _ in range(STEPS):
+        slopes = _all_slopes(domain, positions, walls, found) * scale * (found.weight * root)[:, None, None]
+        table = sparse.csr_array((slopes.ravel(), (row, column)), (len(root), start.size))
+        weighed = table.T * (1 / np.sqrt(1 + (found.miss / OUTLIER) ** 2))
+        normal, fall = (weighed @ table).tocsc(), weighed @ (found.miss * root)
+        while True:
+            stiff = sparse.diags_array(damping * normal.diagonal() + TINY * normal.diagonal().mean())
+            change = -np.asarray(spsolve(normal + stiff, fall)).reshape(cells, width) * scale
+            tried = settle(positions + change)
+            after = _look(domain, tried, walls, step, root)
+            if after.loss <= found.loss or damping > MOST:
+                break
+            damping *= 10
+        moved = np.abs(tried - positions) / scale
+        if after.loss > found.loss:
+            break
+        positions, found, damping = tried, after, max(damping / 10, LEAST)
+        if moved.max() < TOLERANCE * step:
             break
     return positions
+
+
+class _Look(NamedTuple):
+    """The feet of wall points, their distances from the walls and 1 / 2 |q_i - q_j|, in voxels, and the loss."""
+
+    feet: tuple[_Feet, _Feet]
+    miss: Float[np.ndarray, " m"]
+    weight: Float[np.ndarray, " m"]
+    loss: float
+
+
+def _look(domain: Any, positions: np.ndarray, walls: WallPoints, step: float, root: np.ndarray) -> _Look:
+    first, second = _find_feet(domain, positions, walls)
+    apart = np.linalg.norm(first.place - second.place, axis=1)
+    weight = 1 / (2 * step * np.maximum(apart, 1e-3 * step))
+    miss = (first.square - second.square) * weight
+    return _Look((first, second), miss, weight, float((root**2 * (np.sqrt(1 + (miss / OUTLIER) ** 2) - 1)).sum()))
+
+
+def _all_slopes(
+    domain: Any, positions: Float[np.ndarray, "n k"], walls: WallPoints, found: _Look
+) -> Float[np.ndarray, "m 2 k"]:
+    """The derivatives of the differences of squared distances by the positions of both cells."""
+    first, second = _embed_slopes(domain, positions)
+    one, other = (_slope(walls, found.feet[side], first, second, side) for side in (0, 1))
+    return np.stack([one, -other], axis=1)
 
 
 def _scales(domain: Any, positions: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:

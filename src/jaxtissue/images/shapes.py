@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtissue.geometry.shapes import Ellipsoid, Sphere
+from jaxtissue.geometry.shapes import Ellipsoid, Slab, Sphere
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.images.frame import Frame
 from jaxtissue.images.outside import APICAL, BASAL
 from jaxtissue.images.shell_fit import fit_ellipsoid, fit_sphere
+from jaxtissue.images.slab_fit import fit_slab
 from jaxtissue.images.tube_fit import fit_tube
 
 INSIDE = 3  # the mark of points of the tissue, beside APICAL and BASAL
@@ -76,6 +77,38 @@ def _locate_in_tube(tube: Tube, points: Float[np.ndarray, "p 3"]) -> Int[np.ndar
     return np.where((points[:, 0] >= 0) & (points[:, 0] <= tube.length), marks, 0)
 
 
+def _start_in_slab(
+    slab: Slab, points: Float[np.ndarray, "p 3"], cells: Int[np.ndarray, " p"], count: int
+) -> Float[np.ndarray, "n 2"]:
+    """The mean place of each cell's points in the plane."""
+    number = np.bincount(cells, minlength=count)
+    return _settle_in_slab(slab, np.stack([np.bincount(cells, part, count) / number for part in points.T[:2]], axis=-1))
+
+
+def _settle_in_slab(slab: Slab, positions: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    return np.clip(positions, 0, [float(slab.width), float(slab.depth)])
+
+
+def _enclose_by_slab(
+    slab: Slab, frame: Frame, positions: Float[np.ndarray, "n 2"]
+) -> tuple[Slab, Frame, Float[np.ndarray, "n 2"]]:
+    """The sheet that goes on as far as the backbones do, by at most a mean cell width beyond each side."""
+    extent = np.array([float(slab.width), float(slab.depth)])
+    width = math.sqrt(extent.prod() / len(positions))
+    place = np.clip(positions, -width, extent + width)
+    low, high = np.minimum(0, place.min(axis=0)), np.maximum(extent, place.max(axis=0))
+    across, along = (high - low).tolist()
+    wider = Slab(across, along, slab.thickness)
+    moved = Frame(frame.to_image(np.append(low, 0.0)[None])[0], frame.axes)
+    return wider, moved, _settle_in_slab(wider, place - low)
+
+
+def _locate_in_slab(slab: Slab, points: Float[np.ndarray, "p 3"]) -> Int[np.ndarray, " p"]:
+    marks = np.where(points[:, 2] < 0, APICAL, np.where(points[:, 2] > float(slab.thickness), BASAL, INSIDE))
+    extent = [float(slab.width), float(slab.depth)]
+    return np.where(((points[:, :2] >= 0) & (points[:, :2] <= extent)).all(axis=1), marks, 0)
+
+
 def _semi_axes(shell: Sphere | Ellipsoid) -> Float[np.ndarray, "2 3"]:
     """The semi-axes of the apical and the basal surface."""
     if isinstance(shell, Sphere):
@@ -110,6 +143,7 @@ def _locate_in_shell(shell: Sphere | Ellipsoid, points: Float[np.ndarray, "p 3"]
 _SHELL = _start_in_shell, _settle_in_shell, _enclose_by_shell, _locate_in_shell
 FITTERS = {
     "tube": Fitter(Tube, fit_tube, _start_in_tube, _settle_in_tube, _enclose_by_tube, _locate_in_tube),
+    "slab": Fitter(Slab, fit_slab, _start_in_slab, _settle_in_slab, _enclose_by_slab, _locate_in_slab),
     "sphere": Fitter(Sphere, fit_sphere, *_SHELL),
     "ellipsoid": Fitter(Ellipsoid, fit_ellipsoid, *_SHELL),
 }

@@ -14,7 +14,7 @@ OUTSIDE = 99  # percent of the voxels along each axis: first semi-axes, which a 
 NO_SHELL = "the labels do not enclose a lumen on all sides; give an image of a closed shell, or another shape"
 
 
-class Shell(NamedTuple):
+class Surfaces(NamedTuple):
     """Two ellipsoids with a common center and common axes."""
 
     frame: Frame
@@ -47,7 +47,7 @@ def fit_ellipsoid(image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"]
     return Ellipsoid(*semi), frame
 
 
-def _fit_shell(image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"], count: int) -> Shell:
+def _fit_shell(image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"], count: int) -> Surfaces:
     """The shell of so many different semi-axes, 1 or 3."""
     from scipy.optimize import least_squares
 
@@ -62,10 +62,10 @@ def _fit_shell(image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"], c
     faces = Surface(*(column[used] for column in surface))
     weight = np.sqrt(faces.areas / faces.areas.mean())
 
-    def shell(change: np.ndarray) -> Shell:
+    def shell(change: np.ndarray) -> Surfaces:
         growth = np.exp(change[3 : 3 + 2 * count].reshape(2, count))
         turned = Rotation.from_rotvec(change[3 + 2 * count :]).as_matrix() if count > 1 else np.eye(3)
-        return Shell(Frame(first.frame.origin + step * change[:3], turned @ first.frame.axes), first.semi * growth)
+        return Surfaces(Frame(first.frame.origin + step * change[:3], turned @ first.frame.axes), first.semi * growth)
 
     def miss(change: np.ndarray) -> np.ndarray:
         frame, semi = shell(change)
@@ -77,7 +77,7 @@ def _fit_shell(image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"], c
     return _scaled(shell(found.x), image, sizes)
 
 
-def _first_shell(image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"], count: int) -> Shell:
+def _first_shell(image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"], count: int) -> Surfaces:
     """The shell with the center and the axes of inertia of the voxels, and their volume."""
     voxels = np.argwhere(image > 0)[:, ::-1] * sizes
     axes = np.linalg.eigh(np.cov(voxels.T))[1].T[::-1] if count > 1 else np.eye(3)
@@ -86,10 +86,10 @@ def _first_shell(image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"],
     basal = np.percentile(np.abs(frame.to_domain(voxels)), OUTSIDE, axis=0)
     basal = basal if count > 1 else np.full(3, basal.mean())
     hollow = 1 - len(voxels) * np.prod(sizes) / (4 / 3 * np.pi * basal.prod())
-    return Shell(frame, np.stack([basal * max(hollow, 0.03) ** (1 / 3), basal]))
+    return Surfaces(frame, np.stack([basal * max(hollow, 0.03) ** (1 / 3), basal]))
 
 
-def _scaled(shell: Shell, image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"]) -> Shell:
+def _scaled(shell: Surfaces, image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"]) -> Surfaces:
     """The shell with surfaces where they part tissue and background best."""
     voxels = shell.frame.to_domain(np.argwhere(np.ones(image.shape, bool))[:, ::-1] * sizes)
     full, growth = image.ravel() > 0, []
@@ -101,4 +101,4 @@ def _scaled(shell: Shell, image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarr
     scaled = shell.semi * np.array(growth)[:, None]
     if not (scaled[0] > 0).all() or not (scaled[0] < scaled[1]).all():
         raise ValueError(NO_SHELL)
-    return Shell(shell.frame, scaled)
+    return Surfaces(shell.frame, scaled)

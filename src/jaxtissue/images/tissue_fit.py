@@ -22,11 +22,12 @@ from jaxtissue.images.label_cells import LabelCells, measure_labels
 from jaxtissue.images.label_images import as_labels, as_spacing, close_gaps, remove_specks, touches_border
 from jaxtissue.images.shapes import FITTERS, INSIDE
 from jaxtissue.images.voxel_faces import find_faces
+from jaxtissue.measurement.cell_geometry import SIZES
 from jaxtissue.system.frames import as_frame
 from jaxtissue.topology.statistics import Connectivity, find_connectivity, tabulate_connectivity
 
 POOR = 0.8  # of the image's voxels: where fewer are the same, the shape is doubted
-_SIZES = ("volume", "lateral_area", "apical_area", "basal_area")
+_SIZES = SIZES[:4]  # which images have too
 GAP = 0.02  # of a cell's voxels, which lie where the image has no cell, that make it one beside a gap
 
 
@@ -35,8 +36,9 @@ class TissueFit:
     """Tissue fitted to a label image, as returned by `fit_tissue`. Lengths are in the unit of the voxel spacing.
 
     Attributes:
-        domain: The fitted domain, a `Tube`, `Sphere` or `Ellipsoid`.
-        positions: Axial position and angle in radians of each backbone, shape [n, 2], or unit vectors of shape [n, 3].
+        domain: The fitted domain, a `Tube`, `Slab`, `Sphere` or `Ellipsoid`.
+        positions: Axial position and angle in radians of each backbone, or x and y, shape [n, 2], or unit vectors of
+            shape [n, 3].
         labels: Label of the cell of each backbone in the image, in increasing order, shape [n].
         frame: Location of the domain in the image, with fields `origin` (shape [3]) and `axes` (unit vectors in rows,
             shape [3, 3]) and methods `to_domain` and `to_image`.
@@ -70,7 +72,7 @@ class TissueFit:
     def connectivity(self) -> Connectivity | None:
         """Contacts and transition points of the cells of the model, a `Connectivity`.
 
-        None, with a warning, if they cannot be found on a sphere or an ellipsoid.
+        None, with a warning, if they cannot be found on another domain than a tube.
         """
         try:
             return find_connectivity(self.positions, self.domain)
@@ -112,7 +114,9 @@ class TissueFit:
 
     def __repr__(self) -> str:
         report = self.report
-        told = f"{report['voxels_same']:.1%} of the voxels agree, {report['neighbors_kept']:.1%} of the neighbors"
+        told = f"{report['voxels_same']:.1%} of the voxels agree"
+        if not math.isnan(report["neighbors_kept"]):
+            told += f", {report['neighbors_kept']:.1%} of the neighbors"
         return f"TissueFit({len(self.labels)} cells in {self.domain!r}: {told})"
 
 
@@ -123,14 +127,18 @@ def fit_tissue(image: Any, spacing: Any, shape: str = "tube") -> TissueFit:
     wall between cells i and j are at equal distance from both, d_i(x)^2 = d_j(x)^2: a sparse robust least-squares
     problem that starts from the centroids of the cells. Isolated voxels are removed first, and lines of label 0 between
     cells, as left by a watershed, are closed. Cells that were not segmented (label 0) are tolerated: in the model their
-    neighbors fill the gap and are flagged in `beside_gap`. If the border of the image cuts the tissue, a tube extends
-    beyond it to contain the backbones of the cells there. A warning is issued if fewer than 80 % of the labeled voxels
-    agree.
+    neighbors fill the gap and are flagged in `beside_gap`. If the border of the image cuts the tissue, a tube or slab
+    extends beyond it to contain the backbones of the cells there. A warning is issued if fewer than 80 % of the labeled
+    voxels agree.
+
+    A slab has no lumen that tells its two sides apart: its apical surface is the one at the smaller coordinate along
+    the axis of the image that is nearest to its normal. For the other choice flip the image along that axis.
 
     Args:
         image: Label image with axes (z, y, x): integers of at least 0, with 0 outside the tissue.
         spacing: Sides (dz, dy, dx) of a voxel, in any length unit.
-        shape: Shape of the domain: "tube" (the default), "sphere" or "ellipsoid", the latter two closed around a lumen.
+        shape: Shape of the domain: "tube" (the default), "slab" for a flat sheet with backbones perpendicular to it,
+            or "sphere" or "ellipsoid", these two closed around a lumen.
 
     Returns:
         A `TissueFit` with the domain, the backbones, their location in the image, and the agreement with the image.

@@ -13,6 +13,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxtissue.system.frames import as_frame
 
+SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimeter", "basal_perimeter")
+
 
 class CellGeometry(eqx.Module):
     """Volumes, areas and perimeters of the cells of a tissue (paper, section 3.1).

@@ -102,8 +102,8 @@ def relax(
 
     Raises:
         ValueError: If a position is invalid or the number of positions does not match the model, if `method` is
-            unknown, if `steps` is negative or `tolerance` not positive, if the domain is not a `Tube`, or if the energy
-            or its gradient is not finite at the start.
+            unknown, if `steps` is negative or `tolerance` not positive, if `resolution` is "traced" and the domain is
+            not a `Tube`, or if the energy or its gradient is not finite at the start.
 
     >>> import jax
     >>> from jaxtissue.energy import tube_model

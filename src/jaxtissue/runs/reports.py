@@ -20,7 +20,7 @@ from jaxtissue.geometry.domain_positions import as_positions_on, place_columns
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.nodes import has_nodes
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.measurement.cell_geometry import CellGeometry
+from jaxtissue.measurement.cell_geometry import SIZES, CellGeometry
 from jaxtissue.measurement.quadrature import PRESETS, Resolution
 from jaxtissue.runs import storage
 from jaxtissue.runs.names import printable
@@ -36,7 +36,6 @@ from jaxtissue.topology.statistics import (
 )
 
 Result = TypeVar("Result")
-_SIZES = ("volume", "lateral_area", "apical_area", "basal_area", "apical_perimeter", "basal_perimeter")
 _ERRORS = ("volume_error", "lateral_area_error")
 CONTACT_TABLES = ("contacts.csv", "transitions.csv", "graph.graphml")
 
@@ -72,7 +71,7 @@ def tabulate_cells(
     energy = np.asarray(tissue_energies(cells, model))
     require_finite(energy, model)
     columns = {"cell": np.arange(len(axial)), "axial": axial, "angle": angle}
-    columns |= {name: np.asarray(getattr(cells, name)) for name in (*_SIZES, *_ERRORS)}
+    columns |= {name: np.asarray(getattr(cells, name)) for name in (*SIZES, *_ERRORS)}
     columns |= {"energy": energy, "is_end": np.asarray(cells.touches_end)}
     if connectivity is not None:
         columns |= {"is_end": connectivity.is_end} | tabulate_connectivity(connectivity)
@@ -102,7 +101,7 @@ def _tabulate_on_domain(
     energy = np.asarray(tissue_energies(cells, model))
     require_finite(energy, model)
     columns = {"cell": np.arange(len(place))} | place_columns(place, model.domain)
-    columns |= {name: np.asarray(getattr(cells, name)) for name in (*_SIZES, *_ERRORS)}
+    columns |= {name: np.asarray(getattr(cells, name)) for name in (*SIZES, *_ERRORS)}
     columns |= {"energy": energy, "is_end": np.asarray(cells.touches_end)}
     if connectivity is not None:
         columns |= {"is_end": connectivity.is_end} | tabulate_connectivity(connectivity)
@@ -116,7 +115,7 @@ def _tabulate_on_domain(
 def _largest_errors(columns: Mapping[str, np.ndarray]) -> dict[str, float]:
     """The largest errors as fractions of the mean cell."""
     largest = {}
-    for size, error in zip(_SIZES, _ERRORS, strict=False):
+    for size, error in zip(SIZES, _ERRORS, strict=False):
         mean = columns[size].mean(dtype=float)
         largest[f"largest_{error}"] = float(columns[error].max() / mean) if mean > 0 else 0.0
     return largest

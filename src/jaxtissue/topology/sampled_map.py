@@ -18,6 +18,7 @@ from jaxtissue.topology.junctions import Junctions, joined
 from jaxtissue.topology.layer_gaps import LayerGaps
 
 APART = 0.02  # of a cell: a part of it that is larger is a piece of it
+FEWEST = 3  # cells of a closed surface, all disks, of which three meet somewhere
 POINTS = 300, 600, 1200  # of each cell: the more the smaller the parts of cells that are seen apart
 
 
@@ -33,6 +34,8 @@ def sampled_map(gaps: LayerGaps, positions: Float[np.ndarray, "n 3"], height: fl
         point = gaps.look(place, np.zeros((len(place), 2)), np.full(len(place), height)).point
         label, wrong = _whole(crowd.nearest(point), hull.simplices)
         wrong = wrong or _no_disk(gaps.count, label, hull.simplices)
+        if not wrong and gaps.count < FEWEST:
+            wrong = f"no three of the {gaps.count} cells meet"
         if not wrong:
             return _junctions(place, label, hull)
     raise ValueError(f"contacts can't be found: at height {height:g} {wrong}; use more cells")
