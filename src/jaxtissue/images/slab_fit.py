@@ -8,7 +8,7 @@ from jaxtissue.geometry.shapes import Slab
 from jaxtissue.images.frame import Frame, frame_of_axis
 from jaxtissue.images.tube_fit import BEYOND, ENOUGH, FACING, FEW, ROUNDS, Surface, find_border, find_surface
 
-LOST = 0.01  # of the tissue, more than which no straight side may cut off: a ragged one lies outside of all cells
+CUT_OFF = 0.01  # of the tissue, more than which no straight side may cut off: a ragged one lies outside of all cells
 NO_SLAB = "the labels have no two parallel flat surfaces; give an image of a flat sheet"
 
 Box = Float[np.ndarray, "2 3"]  # the least and the largest coordinate along each axis
@@ -109,7 +109,7 @@ def _place(image: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"], frame
         for sign, end in ((1, place[filled].min()), (-1, place[filled].max())):
             near, outermost = sign * (place - end) < min(margin, half), sign * end - reach[axis]
             border = find_border(sign * place[near], filled[near], outermost)
-            is_ragged = (filled & (sign * place < border)).sum() > LOST * filled.sum()
+            is_ragged = (filled & (sign * place < border)).sum() > CUT_OFF * filled.sum()
             ends.append(sign * (outermost if is_ragged else border))
         box[:, axis] = ends
     if not (box[0] < box[1]).all():
