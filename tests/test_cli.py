@@ -514,7 +514,7 @@ def test_force_leaves_nothing_of_another_tissue(annealed, tmp_path):
     sizes = ["--length", "10", "--apical-radius", "3", "--basal-radius", "5", "--no-contacts"]
     assert main(["measure", str(tmp_path / "other.csv"), *sizes, "--out", str(folder), "--force"]) == 0
     left = read_tissue(folder)
-    assert left.tube == Tube(10, 3, 5) and len(left.positions) == 3 and not left.history
+    assert left.domain == Tube(10, 3, 5) and len(left.positions) == 3 and not left.history
     old = {"manifest.json", "checkpoint.npz", "sweeps.csv", "contacts.csv", "energy.png", "scutoid.png"}
     assert not old & {path.name for path in folder.iterdir()}
     with alone(folder):

@@ -112,7 +112,7 @@ def test_short_lists_hold_what_a_span_brings_near(monkeypatch) -> None:
     before = made.survey(before_place, Batch())
     for sweep in range(10):  # all moves accepted
         draws = jax.random.uniform(jax.random.key(sweep), (2, cells))
-        place, _ = propose_moves(draws, place, sheet, made.scene.longest)
+        place, _ = propose_moves(draws, place, sheet, jnp.asarray(made.scene.longest))
     after = made.survey(np.stack(place, axis=1).astype(np.float32), Batch())
     assert len(Shortlists(before).lacking(after)) <= 1
     monkeypatch.setattr(domain_lists, "FEW", 16)
