@@ -1,6 +1,7 @@
 """The reference tubes and the two precisions, for all tests."""
 
 import gc
+import signal
 from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -23,6 +24,8 @@ from jaxtissue.runs import formats
 from jaxtissue.tissue import measurer, refinement
 
 DATA = Path(__file__).parent / "data"
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as shells do for what they begin with &, which runs respect
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 # the modules of tests whose calls are checked against annotations; others give wrong kinds on purpose, or wait
 CHECKED = {"test_contacts", "test_layers", "test_tissue"}
 REFERENCES = sorted(path.stem for path in DATA.glob("*.npz"))
