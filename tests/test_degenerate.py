@@ -189,3 +189,19 @@ def test_open_ends_are_said(monkeypatch):
     for find in (find_contacts, find_transitions, find_forms, find_connectivity, trace_edges):
         with pytest.warns(UserWarning, match="^2 edges of the diagram could not be followed"):
             find(places, tube)
+
+
+def test_an_edge_that_stands_still_is_left(monkeypatch) -> None:
+    """Brought back to where it was by every step, it was followed forever: no result, no error."""
+    positions, tube = awkward(77679)
+    step, steps = edges.step, []
+
+    def counted(fronts, bisectors):
+        steps.append(len(fronts.point))
+        assert len(steps) < 1000
+        return step(fronts, bisectors)
+
+    monkeypatch.setattr(edges, "step", counted)
+    tissue, exact = find_connectivity(positions, tube), exact_cells(positions, tube, 60)
+    assert tissue.transitions.open_ends == 0
+    np.testing.assert_allclose(tissue.sizes.volume, exact.volume, atol=1e-4 * exact.volume.mean())

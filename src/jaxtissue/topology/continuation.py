@@ -142,6 +142,7 @@ def advance(fronts: Fronts, size: np.ndarray, bisectors: Bisectors) -> tuple[Fro
     leaving = (slope[..., 0].T * ahead[ends]).sum(axis=1) <= 0  # a vertex that begins the edge, not ends it
     moved = ((point - start) * fronts.ahead).sum(axis=1)
     bad = (moved < -near) | (moved > 2 * size) | ((ahead * fronts.ahead).sum(axis=1) < BENT)
+    bad |= (met == RUNNING) & (moved < size / 8)  # brought back to where it was, it would stand there forever
     met[bad], met[ends[leaving]] = FAILED, FAILED
     moved = fronts._replace(
         point=point, ahead=ahead, turn=turn, longest=np.minimum(4 * fronts.longest, reach), safe=safe
