@@ -18,6 +18,7 @@ from jaxtissue.dynamics.sweep_log import AcceptanceWatch
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import has_nodes
 from jaxtissue.runs import formats, storage
 from jaxtissue.runs.preparing import Preparation
 from jaxtissue.runs.reports import contact_summary, contacts_of_run, tabulate_cells, write_contacts
@@ -150,7 +151,7 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
     connectivity, place = None, run.state.positions
     beside = preparation or Preparation()
     beside.add(f"maps {run.state.sweep}", partial(_maps, run, place))
-    if "tissue" in formats.LEFT and not (flat or settings.no_contacts or place.ndim == 3):
+    if "tissue" in formats.LEFT and not (flat or settings.no_contacts or has_nodes(place)):
         beside.add("outside", partial(_outside, run))
     say(
         "measuring cells and drawing figures"

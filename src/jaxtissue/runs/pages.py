@@ -75,7 +75,7 @@ def write_page(folder: Path, drawn: Sequence[str] | None = None) -> None:
         file.write(text)
     if drawn is not None and manifest.get("finished"):
         files_there = {name: checksum(folder / name) for name in (*drawn, PAGE)}
-        write_sealed(folder / MANIFEST, manifest | {"files": manifest["files"] | files_there})
+        write_sealed(folder / MANIFEST, manifest | {"files": manifest.get("files", {}) | files_there})
 
 
 def _read(path: Path) -> dict[str, Any]:
