@@ -204,4 +204,5 @@ def test_an_edge_that_stands_still_is_left(monkeypatch) -> None:
     monkeypatch.setattr(edges, "step", counted)
     tissue, exact = find_connectivity(positions, tube), exact_cells(positions, tube, 60)
     assert tissue.transitions.open_ends == 0
+    assert tissue.sizes is not None
     np.testing.assert_allclose(tissue.sizes.volume, exact.volume, atol=1e-4 * exact.volume.mean())
