@@ -41,7 +41,7 @@ Needs the three sizes of the tube, or --domain.""",
     "fit": """\
 Fit a tube, flat sheet or closed shell and its backbones to a segmented image.
 The commands measure and anneal continue from the files that this command
-writes.""",
+writes. With --nodes the backbones are tilted or bent.""",
     "compare": """\
 Compare the cell sizes of each preset with those of a slow independent method.
 Needs the three sizes of the tube, or --domain.""",
@@ -105,5 +105,9 @@ NO_CONTACTS = "measure sizes only; do not find contacts and transition points"
 RELATIVE = (
     "use dimensionless K, LAMBDA and T: volumes in units of the mean cell volume Vbar, areas in units of Vbar^(2/3); "
     "the paper's tube of 500 cells then has --tension 0.0016 --temperature 0.0005"
+)
+NODES = (
+    "points that each backbone goes through from surface to surface; 2: tilted, 3 or more: bent backbones, without "
+    "contacts and pictures (default: 1, straight)"
 )
 RUN = "folder written by anneal, relax, measure or fit"

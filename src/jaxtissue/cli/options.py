@@ -227,6 +227,7 @@ def _add_fit(command: argparse.ArgumentParser) -> None:
                          "sides of a voxel (default: read from the file)")  # fmt: skip
     command.add_argument("--shape", choices=tuple(FITTERS), default="tube", help="shape of the tissue: slab is a flat "
                          "sheet, sphere and ellipsoid are closed round a lumen (default: tube)")  # fmt: skip
+    command.add_argument("--nodes", type=count_of(1), default=1, metavar="K", help=help_texts.NODES)
     _add_flat(command)
     _add_folder(command, required=True)
 

@@ -11,11 +11,15 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from jaxtissue.compilation.modes import usual_modes
+from jaxtissue.geometry.nodes import has_nodes
 
 OUTLIER = 0.5  # voxels off the wall from which on a point counts less and less
 STEPS = 40  # of least squares at most
+STIFFNESS = 3e-5  # of bent backbones for every voxel face of a cell: enough for nodes that hardly any wall points tell
 DAMPING, LEAST, MOST, TINY = 1e-3, 1e-8, 1e3, 1e-12  # of the diagonal; the last one where a cell has no walls
 TOLERANCE = 1e-3  # voxels by which the last step moves backbones
+
+Positions = Float[np.ndarray, "n d"] | Float[np.ndarray, "n k d"]
 
 
 class WallPoints(NamedTuple):
@@ -27,51 +31,53 @@ class WallPoints(NamedTuple):
 
 
 class _Feet(NamedTuple):
-    """The points of the backbones nearest to wall points, where on the backbone they are, and squared distances."""
+    """The points of backbones nearest to wall points, the piece and where on it they are, and squared distances."""
 
     place: Float[np.ndarray, "m 3"]
+    piece: Int[np.ndarray, " m"]
     share: Float[np.ndarray, " m"]
     square: Float[np.ndarray, " m"]
 
 
 def fit_backbones(
     domain: Any,
-    start: Float[np.ndarray, "n k"],
+    start: Positions,
     walls: WallPoints,
     step: float,
-    settle: Callable[[Float[np.ndarray, "n k"]], Float[np.ndarray, "n k"]],
-) -> Float[np.ndarray, "n k"]:
+    settle: Callable[[Positions], Positions],
+) -> Positions:
     """The positions of backbones that have wall points as nearly as possible at equal distances.
 
     The distance of a point p from the wall of the cells i and j is, to first order, (d_i(p)^2 - d_j(p)^2) / 2 |q_i -
     q_j|, with the feet q on the two backbones. The sum of its squares over all points, each by its area, is made small
-    by sparse least squares, with less weight for outliers. Cells without walls stay where they start.
+    by sparse least squares, with less weight for outliers. Cells without walls stay where they start. Bent backbones
+    are a little stiff, which places those nodes that walls do not tell.
 
     Args:
         domain: What the backbones stand in; its `embed` places them in space.
-        start: First positions, [n, k].
+        start: First positions, [n, d], or those of nodes at equally spaced heights, [n, k, d].
         walls: The points.
         step: The side of a voxel; distances are in this unit.
         settle: Brings positions back into the domain.
 
     Returns:
-        The positions, [n, k].
+        The positions, in the shape of the first ones.
     """
-    cells, width = start.shape
-    scale, row = _scales(domain, start), np.repeat(np.arange(len(walls.areas)), 2 * width)
-    column = (walls.pairs[:, :, None] * width + np.arange(width)).ravel()
-    positions, root, damping = start, np.sqrt(walls.areas / walls.areas.mean()), DAMPING
-    found = _look(domain, positions, walls, step, root)
+    task, scale = _Task(domain, walls, step, np.sqrt(walls.areas / walls.areas.mean())), _scales(domain, start)
+    task = task._replace(stiffness=_choose_stiffness(task, start, scale))
+    positions, found, damping = start, _look(task, start), DAMPING
     for _ in range(STEPS):
-        slopes = _all_slopes(domain, positions, walls, found) * scale * (found.weight * root)[:, None, None]
-        table = sparse.csr_array((slopes.ravel(), (row, column)), (len(root), start.size))
+        table = _differences(task, positions, found, scale)
         weighed = table.T * (1 / np.sqrt(1 + (found.miss / OUTLIER) ** 2))
-        normal, fall = (weighed @ table).tocsc(), weighed @ (found.miss * root)
+        normal, fall = weighed @ table, weighed @ (found.miss * task.root)
+        if task.stiffness:
+            more, pull = _stiffen(task, positions, scale)
+            normal, fall = normal + more, fall + pull
         while True:
             stiff = sparse.diags_array(damping * normal.diagonal() + TINY * normal.diagonal().mean())
-            change = -np.asarray(spsolve(normal + stiff, fall)).reshape(cells, width) * scale
+            change = -np.asarray(spsolve((normal + stiff).tocsc(), fall)).reshape(start.shape) * scale
             tried = settle(positions + change)
-            after = _look(domain, tried, walls, step, root)
+            after = _look(task, tried)
             if after.loss <= found.loss or damping > MOST:
                 break
             damping *= 10
@@ -84,6 +90,16 @@ def fit_backbones(
     return positions
 
 
+class _Task(NamedTuple):
+    """What the fit is to reach: the domain, the points and the roots of their areas, and how stiff backbones are."""
+
+    domain: Any
+    walls: WallPoints
+    step: float
+    root: Float[np.ndarray, " m"]
+    stiffness: float = 0.0
+
+
 class _Look(NamedTuple):
     """The feet of wall points, their distances from the walls and 1 / 2 |q_i - q_j|, in voxels, and the loss."""
 
@@ -93,77 +109,104 @@ class _Look(NamedTuple):
     loss: float
 
 
-def _look(domain: Any, positions: np.ndarray, walls: WallPoints, step: float, root: np.ndarray) -> _Look:
-    first, second = _find_feet(domain, positions, walls)
+def _look(task: _Task, positions: Positions) -> _Look:
+    nodes, walls, step = _at_nodes(_embed, task.domain, positions), task.walls, task.step
+    first, second = (_find_feet(nodes, walls.points, cell) for cell in walls.pairs.T)
     apart = np.linalg.norm(first.place - second.place, axis=1)
     weight = 1 / (2 * step * np.maximum(apart, 1e-3 * step))
     miss = (first.square - second.square) * weight
-    return _Look((first, second), miss, weight, float((root**2 * (np.sqrt(1 + (miss / OUTLIER) ** 2) - 1)).sum()))
+    loss = (task.root**2 * (np.sqrt(1 + (miss / OUTLIER) ** 2) - 1)).sum()
+    bent = (np.diff(nodes, 2, axis=1) ** 2).sum() / (2 * OUTLIER**2)  # as small misses count
+    return _Look((first, second), miss, weight, float(loss + task.stiffness * bent))
 
 
-def _all_slopes(
-    domain: Any, positions: Float[np.ndarray, "n k"], walls: WallPoints, found: _Look
-) -> Float[np.ndarray, "m 2 k"]:
-    """The derivatives of the differences of squared distances by the positions of both cells."""
-    first, second = _embed_slopes(domain, positions)
-    one, other = (_slope(walls, found.feet[side], first, second, side) for side in (0, 1))
-    return np.stack([one, -other], axis=1)
-
-
-def _scales(domain: Any, positions: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
-    """The change of each coordinate that moves a backbone by about one unit of length."""
-    first, second = _embed_slopes(domain, positions)
-    moved = np.linalg.norm((first + second) / 2, axis=1).mean(axis=0)
-    return 1 / moved
-
-
-def _find_feet(domain: Any, positions: Float[np.ndarray, "n k"], walls: WallPoints) -> tuple[_Feet, _Feet]:
-    """The feet of each wall point on the backbones of both cells."""
-    start, end = (np.asarray(ends, float) for ends in _embed(domain, jnp.asarray(positions, float)))
-    feet = []
-    for cell in walls.pairs.T:
-        along, offset = end[cell] - start[cell], walls.points - start[cell]
+def _find_feet(
+    nodes: Float[np.ndarray, "n q 3"], points: Float[np.ndarray, "m 3"], cell: Int[np.ndarray, " m"]
+) -> _Feet:
+    """The foot of each point on the backbone of a cell: the nearest of those on its straight pieces."""
+    best = _Feet(points, np.zeros(len(points), int), np.zeros(len(points)), np.full(len(points), np.inf))
+    for piece in range(nodes.shape[1] - 1):
+        start = nodes[cell, piece]
+        along, offset = nodes[cell, piece + 1] - start, points - start
         share = np.clip((offset * along).sum(axis=1) / (along**2).sum(axis=1), 0, 1)
         away = offset - share[:, None] * along
-        feet.append(_Feet(walls.points - away, share, (away**2).sum(axis=1)))
-    return feet[0], feet[1]
+        square = (away**2).sum(axis=1)
+        nearer = square < best.square
+        best = _Feet(
+            np.where(nearer[:, None], points - away, best.place),
+            np.where(nearer, piece, best.piece),
+            np.where(nearer, share, best.share),
+            np.where(nearer, square, best.square),
+        )
+    return best
 
 
-@usual_modes()
-@jax.jit
-def _embed(domain: Any, positions: Float[Array, "n k"]) -> Any:
-    """Both ends of each backbone, [n, 3]; of unit vectors the direction alone counts."""
-    if positions.shape[1] == 3:
-        positions = positions / jnp.linalg.norm(positions, axis=1, keepdims=True)
-    backbones = domain.embed(positions)
-    return backbones.apical, backbones.basal
-
-
-@usual_modes()
-@jax.jit
-def _differentiate(domain: Any, positions: Float[Array, "n k"]) -> Any:
-    """The derivatives of both ends of each backbone by its position, [n, 3, k]."""
-    return jax.vmap(jax.jacfwd(lambda place: tuple(end[0] for end in _embed(domain, place[None]))))(positions)
-
-
-def _embed_slopes(
-    domain: Any, positions: Float[np.ndarray, "n k"]
-) -> tuple[Float[np.ndarray, "n 3 k"], Float[np.ndarray, "n 3 k"]]:
-    first, second = _differentiate(domain, jnp.asarray(positions, float))
-    return np.asarray(first, float), np.asarray(second, float)
-
-
-def _slope(
-    walls: WallPoints,
-    feet: _Feet,
-    first: Float[np.ndarray, "n 3 k"],
-    second: Float[np.ndarray, "n 3 k"],
-    side: int,
-) -> Float[np.ndarray, "m k"]:
-    """The derivatives of squared distances by the position of one of the two cells.
+def _differences(
+    task: _Task, positions: Positions, found: _Look, scale: Float[np.ndarray, "... d"]
+) -> sparse.csr_array:
+    """The derivatives of the distances from walls by all positions, in units of `scale`, [m, unknowns].
 
     Where the foot lies does not count, as the distance is smallest there.
     """
-    cell, share = walls.pairs[:, side], feet.share[:, None, None]
-    moved = (1 - share) * first[cell] + share * second[cell]
-    return -2 * np.einsum("mi,mik->mk", walls.points - feet.place, moved)
+    slopes, width = _at_nodes(_differentiate, task.domain, positions), positions.shape[-1]
+    count = positions.shape[1] if has_nodes(positions) else 1
+    scale, values, columns = np.broadcast_to(scale, (count, width)), [], []
+    for feet, cell, sign in zip(found.feet, task.walls.pairs.T, (-2, 2), strict=True):
+        pull = sign * (found.weight * task.root)[:, None] * (task.walls.points - feet.place)
+        for end, share in enumerate((1 - feet.share, feet.share)):
+            node = np.minimum(feet.piece + end, count - 1)  # both ends of straight backbones have one place
+            moved = np.einsum("mi,mid->md", pull, slopes[cell, feet.piece + end])
+            values.append(share[:, None] * moved * scale[node])
+            columns.append(((cell * count + node) * width)[:, None] + np.arange(width))
+    value, column = (np.stack(parts, axis=1).ravel() for parts in (values, columns))
+    row = np.repeat(np.arange(len(task.root)), len(values) * width)
+    return sparse.csr_array((value, (row, column)), (len(task.root), positions.size))
+
+
+def _choose_stiffness(task: _Task, start: Positions, scale: Float[np.ndarray, "... d"]) -> float:
+    """The weight of the squares of second differences of nodes in space; curves of the same shape weigh alike."""
+    if not has_nodes(start) or start.shape[1] < 3:
+        return 0.0
+    table = _differences(task, start, _look(task, start), scale)
+    return STIFFNESS * (start.shape[1] - 1) ** 4 * float(table.power(2).sum()) / start.size
+
+
+def _stiffen(
+    task: _Task, positions: Positions, scale: Float[np.ndarray, "k d"]
+) -> tuple[sparse.sparray, Float[np.ndarray, " unknowns"]]:
+    """The second and first derivatives of half the squares of second differences, by their weight."""
+    n, k, _ = positions.shape
+    second = np.diff(np.eye(k), 2, axis=0)
+    slopes = _at_nodes(_differentiate, task.domain, positions) * scale[:, None]
+    slopes = np.einsum("ij,njcd->nicjd", second, slopes).reshape(n, 3 * (k - 2), -1)
+    bent = (second @ _at_nodes(_embed, task.domain, positions)).reshape(n, -1)
+    squares = sparse.block_diag(list(slopes.transpose(0, 2, 1) @ slopes))
+    return task.stiffness * squares, task.stiffness * np.einsum("nru,nr->nu", slopes, bent).ravel()
+
+
+def _scales(domain: Any, positions: Positions) -> Float[np.ndarray, "... d"]:
+    """The change of each coordinate that moves a backbone, or its node, by about one unit of length."""
+    slopes = _at_nodes(_differentiate, domain, positions)
+    moved = slopes if has_nodes(positions) else slopes.mean(axis=1)
+    return 1 / np.linalg.norm(moved, axis=-2).mean(axis=0)
+
+
+def _at_nodes(function: Callable[..., Any], domain: Any, positions: Positions) -> Float[np.ndarray, "n q ..."]:
+    """What a function gives at every node; both ends of straight backbones are at one place."""
+    place = positions if has_nodes(positions) else np.stack([positions] * 2, axis=1)
+    n, q, d = place.shape
+    height = jnp.asarray(np.tile(np.linspace(0, 1, q), n), float)
+    found = np.asarray(function(domain, jnp.asarray(place.reshape(n * q, d), float), height), float)
+    return found.reshape(n, q, *found.shape[1:])
+
+
+def _point(domain: Any, place: Float[Array, "d"], height: Float[Array, ""]) -> Float[Array, "3"]:
+    """F(m, h) of one place; of vectors the direction alone counts."""
+    if len(place) == 3:
+        place = place / jnp.linalg.norm(place)
+    backbone = domain.embed(place[None])
+    return (1 - height) * backbone.apical[0] + height * backbone.basal[0]
+
+
+_embed = usual_modes()(jax.jit(jax.vmap(_point, (None, 0, 0))))
+_differentiate = usual_modes()(jax.jit(jax.vmap(jax.jacfwd(_point, 1), (None, 0, 0))))

@@ -13,14 +13,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxtissue.geometry.domain_positions import column_names
+from jaxtissue.geometry.domain_positions import ends_in_space, place_columns
+from jaxtissue.geometry.nodes import domain_of, has_nodes
 from jaxtissue.geometry.tube import Tube
-from jaxtissue.images.backbone_fit import WallPoints, fit_backbones
+from jaxtissue.images.backbone_fit import Positions, WallPoints, fit_backbones
 from jaxtissue.images.drawing import draw_labels
 from jaxtissue.images.frame import Frame
 from jaxtissue.images.label_cells import LabelCells, measure_labels
 from jaxtissue.images.label_images import as_labels, as_spacing, close_gaps, remove_specks, touches_border
-from jaxtissue.images.shapes import FITTERS, INSIDE
+from jaxtissue.images.node_start import start_nodes
+from jaxtissue.images.shapes import FITTERS, INSIDE, Fitter
 from jaxtissue.images.voxel_faces import find_faces
 from jaxtissue.measurement.cell_geometry import SIZES
 from jaxtissue.system.frames import as_frame
@@ -28,6 +30,7 @@ from jaxtissue.topology.statistics import Connectivity, find_connectivity, tabul
 
 POOR = 0.8  # of the image's voxels: where fewer are the same, the shape is doubted
 _SIZES = SIZES[:4]  # which images have too
+LAYER = 2  # voxels at least from node to node
 GAP = 0.02  # of a cell's voxels, which lie where the image has no cell, that make it one beside a gap
 
 
@@ -36,9 +39,9 @@ class TissueFit:
     """Tissue fitted to a label image, as returned by `fit_tissue`. Lengths are in the unit of the voxel spacing.
 
     Attributes:
-        domain: The fitted domain, a `Tube`, `Slab`, `Sphere` or `Ellipsoid`.
+        domain: The fitted domain, a `Tube`, `Slab`, `Sphere` or `Ellipsoid`; a `RoundTube` for a tube with `nodes`.
         positions: Axial position and angle in radians of each backbone, or x and y, shape [n, 2], or unit vectors of
-            shape [n, 3].
+            shape [n, 3]. Of tilted and bent backbones those of their nodes, shape [n, k, 2] or [n, k, 3].
         labels: Label of the cell of each backbone in the image, in increasing order, shape [n].
         frame: Location of the domain in the image, with fields `origin` (shape [3]) and `axes` (unit vectors in rows,
             shape [3, 3]) and methods `to_domain` and `to_image`.
@@ -49,17 +52,18 @@ class TissueFit:
             a cell that was not segmented, booleans, shape [n].
         report: Agreement of model and image, numbers by name. `voxels_same`: fraction of the labeled voxels that have
             the same label in the model. `voxels_missing`: fraction of the model's voxels that have label 0 in the
-            image. `neighbors_kept`: fraction of the neighbor pairs in the image that are neighbors in the model, NaN if
-            `connectivity` is None. `volume_error`: root-mean-square of the difference in volume, divided by the mean
-            volume, over cells that are neither at the border of the image nor next to a gap. `cells`,
-            `cells_at_border`, `cells_beside_gap`: numbers of cells.
+            image. `neighbors_kept`: fraction of the neighbor pairs in the image that are neighbors in the model, by
+            `connectivity`, or by `drawn` if that is None. `volume_error`: root-mean-square of the difference in
+            volume, divided by the mean volume, over cells that are neither at the border of the image nor next to a
+            gap. `cells`, `cells_at_border`, `cells_beside_gap`: numbers of cells.
         sizes: `volume`, `lateral_area`, `apical_area` and `basal_area` of each cell of the model by name, shape [n]: in
-            a tube from its traced edges, and empty if one could not be traced; in other domains measured in `voxels`,
-            as those of the image are.
+            a `Tube` from its traced edges, and empty if one could not be traced; in other domains those of `drawn`.
+        drawn: Cells of the model as measured in `voxels`, as those of the image are, a `LabelCells`; cells without a
+            voxel are missing. None in a `Tube`.
     """
 
     domain: Any
-    positions: Float[np.ndarray, "n d"]
+    positions: Positions
     labels: Int[np.ndarray, " n"]
     frame: Frame
     voxels: Int[np.ndarray, "z y x"]
@@ -67,13 +71,17 @@ class TissueFit:
     beside_gap: Bool[np.ndarray, " n"]
     report: dict[str, float]
     sizes: dict[str, Float[np.ndarray, " n"]]
+    drawn: LabelCells | None = None
 
     @cached_property
     def connectivity(self) -> Connectivity | None:
         """Contacts and transition points of the cells of the model, a `Connectivity`.
 
-        None, with a warning, if they cannot be found on another domain than a tube.
+        None for tilted and bent backbones, whose edges cannot be traced, and with a warning where tracing fails on
+        another domain than a `Tube`.
         """
+        if has_nodes(self.positions):
+            return None
         try:
             return find_connectivity(self.positions, self.domain)
         except ValueError as error:
@@ -85,12 +93,15 @@ class TissueFit:
     def columns(self) -> dict[str, np.ndarray]:
         """Tabulate the cells, as measured in the image (prefix `image_`) and in the model (prefix `model_`).
 
+        Tilted and bent backbones have the coordinates of both ends (prefixes `apical_` and `basal_`), and the neighbors
+        in `drawn`.
+
         Returns:
             Mapping from column name to an array of shape [n].
         """
         inside = self.frame.to_domain(self.cells.centroid)
         columns = {"label": self.labels}
-        columns |= dict(zip(column_names(self.domain), self.positions.T, strict=True))
+        columns |= place_columns(self.positions, self.domain)
         columns |= dict(zip(("centroid_x", "centroid_y", "centroid_z"), inside.T, strict=True))
         measured = self.cells.columns()
         flag = measured.pop("at_border")
@@ -102,6 +113,10 @@ class TissueFit:
             table = tabulate_connectivity(self.connectivity)
             columns |= {f"model_{name}": table[name] for name in measured if name in table}
             columns |= {"model_is_end": self.connectivity.is_end}
+        elif self.drawn is not None:
+            table = self.drawn.columns()
+            columns |= {f"model_{name}": _of_labels(self.labels, self.drawn, table[name]) for name in measured
+                        if name in table and name not in self.sizes}  # fmt: skip
         return columns | {"at_border": flag, "beside_gap": self.beside_gap}
 
     def to_pandas(self) -> Any:
@@ -114,13 +129,11 @@ class TissueFit:
 
     def __repr__(self) -> str:
         report = self.report
-        told = f"{report['voxels_same']:.1%} of the voxels agree"
-        if not math.isnan(report["neighbors_kept"]):
-            told += f", {report['neighbors_kept']:.1%} of the neighbors"
+        told = f"{report['voxels_same']:.1%} of the voxels agree, {report['neighbors_kept']:.1%} of the neighbors"
         return f"TissueFit({len(self.labels)} cells in {self.domain!r}: {told})"
 
 
-def fit_tissue(image: Any, spacing: Any, shape: str = "tube") -> TissueFit:
+def fit_tissue(image: Any, spacing: Any, shape: str = "tube", nodes: int | None = None) -> TissueFit:
     """Fit a domain and its backbones to a segmented image (paper, Definition 3, inverted).
 
     The domain is fitted robustly to the surface of all labels. The backbones are then chosen such that points on the
@@ -131,6 +144,11 @@ def fit_tissue(image: Any, spacing: Any, shape: str = "tube") -> TissueFit:
     extends beyond it to contain the backbones of the cells there. A warning is issued if fewer than 80 % of the labeled
     voxels agree.
 
+    With `nodes`, the backbones are tilted or bent: each is a polyline through k points at equally spaced heights. The
+    fit then starts from the middles of the cells at these heights. Each node needs walls beside it, so nodes are less
+    certain than straight backbones, the more so the more there are; a slight stiffness of bent backbones places those
+    that no walls determine. Contacts and transition points are not computed, and neighbors are counted in `voxels`.
+
     A slab has no lumen that tells its two sides apart: its apical surface is the one at the smaller coordinate along
     the axis of the image that is nearest to its normal. For the other choice flip the image along that axis.
 
@@ -139,13 +157,15 @@ def fit_tissue(image: Any, spacing: Any, shape: str = "tube") -> TissueFit:
         spacing: Sides (dz, dy, dx) of a voxel, in any length unit.
         shape: Shape of the domain: "tube" (the default), "slab" for a flat sheet with backbones perpendicular to it,
             or "sphere" or "ellipsoid", these two closed around a lumen.
+        nodes: Number of nodes k of each backbone: 2 for tilted and 3 or more for bent backbones. Defaults to None, or
+            1: straight backbones, perpendicular to the surfaces of a slab and radial in a tube or sphere.
 
     Returns:
         A `TissueFit` with the domain, the backbones, their location in the image, and the agreement with the image.
 
     Raises:
-        ValueError: If `image` or `spacing` is invalid, if the image has fewer than two cells, or if `shape` is unknown
-            or cannot be fitted.
+        ValueError: If `image` or `spacing` is invalid, if the image has fewer than two cells, if `shape` is unknown
+            or cannot be fitted, or if `nodes` is less than 1 or so large that nodes are less than two voxels apart.
 
     >>> from jaxtissue.geometry.tube import Tube
     >>> tube = Tube(6, 1, 3)
@@ -157,6 +177,9 @@ def fit_tissue(image: Any, spacing: Any, shape: str = "tube") -> TissueFit:
     """
     if shape not in FITTERS:
         raise ValueError(f"shape={shape!r} can't be fitted; use one of {', '.join(FITTERS)}")
+    if nodes is not None and (isinstance(nodes, bool) or not isinstance(nodes, int | np.integer) or nodes < 1):
+        told = "1 (straight backbones), 2 (tilted), or 3 or more (bent)"
+        raise ValueError(f"nodes={nodes!r} is not a number of nodes; give {told}")
     fitter, given, sizes = FITTERS[shape], as_labels(image), as_spacing(spacing)[::-1]
     cleaned = remove_specks(close_gaps(given))
     labels, dense = np.unique(cleaned, return_inverse=True)
@@ -165,19 +188,20 @@ def fit_tissue(image: Any, spacing: Any, shape: str = "tube") -> TissueFit:
         found = f"only one label, {labels[0]}" if len(labels) else "no cell larger than single voxels"
         raise ValueError(f"the image has {found}; give each cell its own label")
     domain, frame = fitter.domain(cleaned, sizes)
-    points = frame.to_domain(np.argwhere(dense > 0)[:, ::-1] * sizes)
-    start = fitter.start(domain, points, dense[dense > 0] - 1, len(labels))
+    start = _start(fitter, (domain, frame), dense, sizes, int(nodes or 1))
+    domain = domain_of(domain, start)
     walls, step = _wall_points(dense, sizes, frame), float(np.prod(sizes) ** (1 / 3))
-    free = touches_border(cleaned, labels)[:, None]
+    free = touches_border(cleaned, labels).reshape(-1, *[1] * (start.ndim - 1))
     positions = fit_backbones(
         domain, start, walls, step, lambda place: np.where(free, place, fitter.settle(domain, place))
     )
     domain, frame, positions = fitter.enclose(domain, frame, positions)
     voxels, marks = draw_labels(domain, positions, labels, frame, sizes, given.shape)
-    beside = _find_beside(voxels, cleaned, labels)
-    cells = measure_labels(cleaned, sizes[::-1], np.where(marks == INSIDE, 0, marks))
-    fit = TissueFit(domain, positions, labels, frame, voxels.astype(given.dtype), cells, beside, {}, {})
-    fit.sizes.update(_sizes(fit, sizes, marks))
+    beside, sides = _find_beside(voxels, cleaned, labels), np.where(marks == INSIDE, 0, marks)
+    cells = measure_labels(cleaned, sizes[::-1], sides)
+    drawn = None if isinstance(domain, Tube) else measure_labels(voxels, sizes[::-1], sides)
+    fit = TissueFit(domain, positions, labels, frame, voxels.astype(given.dtype), cells, beside, {}, {}, drawn)
+    fit.sizes.update(_sizes(fit))
     fit.report.update(_report(fit, given))
     if fit.report["voxels_same"] < POOR:
         told = (
@@ -185,6 +209,25 @@ def fit_tissue(image: Any, spacing: Any, shape: str = "tube") -> TissueFit:
         )
         warnings.warn(f"{told}; check that the tissue is a {shape} and that each label is one cell", stacklevel=2)
     return fit
+
+
+def _start(
+    fitter: Fitter, place: tuple[Any, Frame], dense: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"], nodes: int
+) -> Positions:
+    """The first positions of straight backbones, or of nodes. Raises `ValueError` for more than there are voxels."""
+    domain, frame = place
+    points, cells = frame.to_domain(np.argwhere(dense > 0)[:, ::-1] * sizes), dense[dense > 0] - 1
+    middle = fitter.start(domain, points, cells, int(cells.max()) + 1)
+    if nodes == 1:
+        return middle
+    apical, basal = ends_in_space(middle, domain)
+    layers = float(np.linalg.norm(basal - apical, axis=1).mean() / np.prod(sizes) ** (1 / 3))
+    if layers < LAYER * (nodes - 1):
+        most = max(1, int(layers / LAYER) + 1)
+        told = f"nodes={nodes} are too many for a tissue of {layers:.3g} voxels from surface to surface"
+        raise ValueError(f"{told}; give at most {most}, or an image with finer voxels")
+    above: Any = domain_of(domain, middle[:, None])
+    return fitter.settle(above, start_nodes(above, middle, *fitter.invert(above, points), cells, nodes))
 
 
 def _find_beside(
@@ -209,25 +252,27 @@ def _wall_points(dense: Int[np.ndarray, "z y x"], sizes: Float[np.ndarray, "3"],
     return WallPoints(frame.to_domain(faces.middle * sizes), faces.labels - 1, areas)
 
 
-def _sizes(
-    fit: TissueFit, sides: Float[np.ndarray, "3"], marks: Int[np.ndarray, "z y x"]
-) -> dict[str, Float[np.ndarray, " n"]]:
-    """The sizes of the cells of the model, in an image with these sides of a voxel and marks of its background."""
-    if isinstance(fit.domain, Tube):
-        traced = fit.connectivity.sizes if fit.connectivity else None
-        return {} if traced is None else {name: np.asarray(getattr(traced, name)) for name in _SIZES}
-    drawn = measure_labels(fit.voxels, sides[::-1], np.where(marks == INSIDE, 0, marks))
-    sizes = {name: np.zeros(len(fit.labels)) for name in _SIZES}
-    for name, column in sizes.items():
-        column[np.searchsorted(fit.labels, drawn.labels)] = getattr(drawn, name)
-    return sizes
+def _sizes(fit: TissueFit) -> dict[str, Float[np.ndarray, " n"]]:
+    """The sizes of the cells of the model."""
+    if fit.drawn is not None:
+        return {name: _of_labels(fit.labels, fit.drawn, getattr(fit.drawn, name)) for name in _SIZES}
+    traced = fit.connectivity.sizes if fit.connectivity else None
+    return {} if traced is None else {name: np.asarray(getattr(traced, name)) for name in _SIZES}
+
+
+def _of_labels(labels: Int[np.ndarray, " n"], drawn: LabelCells, column: Any) -> np.ndarray:
+    """A column of the cells that are drawn, for all labels; 0 for those without a voxel."""
+    whole = np.zeros(len(labels), np.asarray(column).dtype)
+    whole[np.searchsorted(labels, drawn.labels)] = column
+    return whole
 
 
 def _report(fit: TissueFit, given: Int[np.ndarray, "z y x"]) -> dict[str, float]:
     """How well a fit describes the image."""
     labeled, modeled = given > 0, fit.voxels > 0
-    pairs = fit.connectivity.contacts.pairs if fit.connectivity else np.empty((0, 2), int)
-    mine = {tuple(pair) for pair in fit.labels[pairs].tolist()}
+    pairs = np.empty((0, 2), int) if fit.drawn is None else fit.drawn.pairs
+    pairs = fit.labels[fit.connectivity.contacts.pairs] if fit.connectivity else pairs
+    mine = {tuple(pair) for pair in pairs.tolist()}
     seen = {tuple(pair) for pair in fit.cells.pairs.tolist()}
     whole = ~(fit.cells.at_border | fit.beside_gap)
     error = math.nan
@@ -237,7 +282,7 @@ def _report(fit: TissueFit, given: Int[np.ndarray, "z y x"]) -> dict[str, float]
     return {
         "voxels_same": float((fit.voxels == given)[labeled].mean()),
         "voxels_missing": float((~labeled)[modeled].mean()) if modeled.any() else math.nan,
-        "neighbors_kept": len(mine & seen) / len(seen) if seen and fit.connectivity else math.nan,
+        "neighbors_kept": len(mine & seen) / len(seen) if seen else math.nan,
         "volume_error": error,
         "cells": len(fit.labels),
         "cells_at_border": int(fit.cells.at_border.sum()),

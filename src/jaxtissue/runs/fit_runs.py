@@ -18,21 +18,21 @@ from jaxtissue.system.files import make_folder, write_json
 from jaxtissue.system.locks import alone
 
 
-def run_fit(path: Path, spacing: Any, shape: str, folder: Path, flat: bool = False) -> dict[str, Any]:
+def run_fit(path: Path, spacing: Any, shape: str, folder: Path, nodes: int = 1, flat: bool = False) -> dict[str, Any]:
     """Fit a tissue to the image in a file, write it into a folder with its page, and return the report.
 
-    `flat` leaves out the pictures in three dimensions.
+    `flat` leaves out the pictures in three dimensions, as do tilted and bent backbones, those of 2 and more `nodes`.
     Raises `ValueError` as `read_image` and `fit_tissue` do; nothing is written then.
     """
     read = read_image(path, spacing)
     begun = time.perf_counter()
     try:
-        fit = fit_tissue(read.image, read.spacing, shape)
+        fit = fit_tissue(read.image, read.spacing, shape, nodes)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     columns = fit.columns()
     report = fit.report | {"seconds": time.perf_counter() - begun}
-    about = {"image": str(path), "shape": shape, "spacing": read.spacing, "unit": read.unit}
+    about = {"image": str(path), "shape": shape, "nodes": nodes, "spacing": read.spacing, "unit": read.unit}
     with alone(folder):
         make_folder(folder, FILES)
         save_tissue(folder, fit.domain, BackboneTable(fit.positions, tuple(map(str, fit.labels.tolist()))))
