@@ -1,5 +1,7 @@
 """Moves of single nodes of tilted and bent backbones."""
 
+import json
+
 import jax
 import numpy as np
 import pytest
@@ -85,15 +87,14 @@ def test_upright_backbones_by_their_ends_have_the_energy_of_straight_ones() -> N
 
 @pytest.mark.filterwarnings("ignore:the volume of .* of 40 cells may be wrong")  # "draft" of tilted cells
 def test_a_run_from_a_table_of_nodes_goes_on_as_if_never_stopped(tmp_path) -> None:
-    """By the command; its figures and tables are there, and contacts are left out in a line."""
+    """By the command; its figures and tables are there, and contacts with them."""
     storage.write_backbones(tmp_path / "t.csv", start(SLAB), columns=SLAB.columns)
     save_domain(SLAB, tmp_path / "slab.json")
     folders = [tmp_path / name for name in ("whole", "parts")]
     own = ["--domain", str(tmp_path / "slab.json"), "--backbones", str(tmp_path / "t.csv"), "--x64"]
     own += ["--temperature", "1e-3"]
-    with pytest.warns(UserWarning, match="contacts are not computed: they cannot be found for tilted"):
-        assert main(["anneal", *own, "--sweeps", "5", "--out", str(folders[0])]) == 0
-    assert main(["anneal", *own, "--sweeps", "3", "--no-contacts", "--out", str(folders[1])]) == 0
+    assert main(["anneal", *own, "--sweeps", "5", "--out", str(folders[0])]) == 0
+    assert main(["anneal", *own, "--sweeps", "3", "--out", str(folders[1])]) == 0
     assert main(["anneal", "--resume", "--sweeps", "5", "--out", str(folders[1])]) == 0
     whole, parts = (read_backbones(folder / "backbones.csv", SLAB, bent=True).positions for folder in folders)
     np.testing.assert_array_equal(whole, parts)
@@ -101,6 +102,9 @@ def test_a_run_from_a_table_of_nodes_goes_on_as_if_never_stopped(tmp_path) -> No
     rows = [(folder / "cells.csv").read_text() for folder in folders]
     assert rows[0] == rows[1] and rows[0].startswith("cell,apical_x,apical_y,basal_x,basal_y,volume")
     assert {path.name for path in folders[0].glob("*.png")} >= {"energy.png", "volumes.png", "surfaces.png"}
+    final = json.loads((folders[0] / "manifest.json").read_text())["final"]
+    assert final["apical_degree"] == pytest.approx(6) and final["open_ends"] == 0
+    assert (folders[0] / "contacts.csv").read_text().count("\n") > 3 * CELLS
     sweeps = storage.read_sweeps(folders[0] / "sweeps.csv")
     assert sweeps["energy"][-1] < sweeps["energy"][0] and sweeps["drift"].max() < 1e-12
     with pytest.raises(ValueError, match=r"only be measured .* on domains other than Tube, annealed"):

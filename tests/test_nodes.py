@@ -1,5 +1,7 @@
 """Tilted and bent backbones: the same sizes as straight ones where they are straight, and those of the exact path."""
 
+import json
+
 import jax
 import numpy as np
 import pytest
@@ -121,11 +123,10 @@ def test_wrong_nodes_are_refused(positions, domain, told):
 
 
 def test_what_takes_straight_backbones_alone_says_so(tilted):
-    for call in (jt.find_connectivity, jt.NeighborList.allocate):
-        with pytest.raises(ValueError, match="can only be measured"):
-            call(tilted[0], SLAB)
     with pytest.raises(ValueError, match="can only be measured"):
-        jt.find_connectivity(np.zeros((2, 2, 2)), TUBE)
+        jt.NeighborList.allocate(tilted[0], SLAB)
+    with pytest.raises(ValueError, match="can only be measured"):
+        jt.find_contacts(np.zeros((2, 2, 2)), TUBE)
 
 
 @pytest.mark.parametrize("heights", [None, [0, 0.5, 1], [0, 0.2, 1]])
@@ -162,10 +163,12 @@ def test_measure_takes_tilted_backbones(tilted, tmp_path, capsys):
     storage.write_backbones(tmp_path / "t.csv", tilted[0] % [6, 5], columns=SLAB.columns)
     save_domain(SLAB, tmp_path / "slab.json")
     run = ["measure", str(tmp_path / "t.csv"), "--domain", str(tmp_path / "slab.json"), "--out", str(tmp_path / "m")]
-    assert main(run) == 2
-    error = capsys.readouterr().err
-    assert "can only be measured" in error and error.count("\n") == 1
-    assert main([*run, "--no-contacts"]) == 0
+    assert main(run) == 0
+    summary = json.loads((tmp_path / "m/summary.json").read_text())
+    assert summary["apical_degree"] == summary["basal_degree"] == pytest.approx(6)
+    assert summary["mean_neighbors"] >= 6 and summary["open_ends"] == 0 and 0 < summary["scutoid_fraction"] <= 1
+    assert "cells " in capsys.readouterr().out and not list((tmp_path / "m").glob("scutoid*"))
+    assert ",neighbors," in (tmp_path / "m/cells.csv").read_text()
     header, *rows = (tmp_path / "m/cells.csv").read_text().splitlines()
     assert header.startswith("cell,apical_x,apical_y,basal_x,basal_y,volume") and len(rows) == CELLS
     volume = [float(row.split(",")[5]) for row in rows]

@@ -23,7 +23,7 @@ FEW = 4  # nearest backbones, itself included, that are looked at
 TILT = 0.1  # radians by which rounding of two places may turn the wall between them
 NO_NUMBERS = str | bytes | bool | None  # though Python makes floats of some
 STRAIGHT = (
-    "tilted and bent backbones can only be measured (measure --no-contacts, compare)"
+    "tilted and bent backbones can only be measured (measure, compare)"
     " and, on domains other than Tube, annealed; give straight ones here"
 )
 X64 = "use 64 bits (--x64, jax_enable_x64)"

@@ -18,7 +18,6 @@ from jaxtissue.energy import Model, require_finite, tissue_energies
 from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domain_positions import as_positions_on, place_columns
 from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.nodes import has_nodes
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.cell_geometry import SIZES, CellGeometry
 from jaxtissue.measurement.quadrature import PRESETS, Resolution
@@ -122,10 +121,7 @@ def _largest_errors(columns: Mapping[str, np.ndarray]) -> dict[str, float]:
 
 
 def contacts_of_run(positions: PositionsLike, domain: Tube | Domain, minimum: float = 0.0) -> Connectivity | None:
-    """The contacts of a tissue; none, with a warning, on domains and of backbones where they can't be found."""
-    if has_nodes(positions):
-        warnings.warn("contacts are not computed: they cannot be found for tilted and bent backbones", stacklevel=3)
-        return None
+    """The contacts of a tissue; none, with a warning, on domains where they can't be found."""
     try:
         return find_connectivity(positions, domain, minimum)
     except ValueError as error:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import has_nodes
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.cell_meshes import CellMeshes, mesh_cells
 from jaxtissue.meshes.cuts import segments
@@ -56,9 +57,10 @@ def leave_pictures(
     """Leave the page of a run, and its pictures `formats.LEFT` unless all are to be flat.
 
     The `outside` of the tissue is computed if it is not given.
-    What can't be drawn is left out and told in a line. The page is written before, too: should the system's graphics
-    end the process, it is there.
+    What can't be drawn is left out and told in a line; cells of tilted and bent backbones are not drawn. The page is
+    written before, too: should the system's graphics end the process, it is there.
     """
+    flat = flat or has_nodes(tissue.positions)
     write_page(folder, () if flat else None)
     if flat:
         return

@@ -16,8 +16,8 @@ from jaxtissue.geometry.vectors import components, dot
 from jaxtissue.topology.contacts import KINDS, ROUNDOFF, Contacts
 from jaxtissue.topology.layer_gaps import LayerGaps
 from jaxtissue.topology.layer_map import first_map
-from jaxtissue.topology.layer_walls import surface_edges, wall_areas
-from jaxtissue.topology.rising import TIE, Rise, rise
+from jaxtissue.topology.layer_walls import WallMiddles, surface_edges, wall_areas
+from jaxtissue.topology.rising import TIE, Rise, cell_names, rise
 from jaxtissue.topology.transitions import CellForms, Transitions
 
 NARROW = 1e-9  # of the tissue's size: shorter edges are rounding
@@ -36,48 +36,50 @@ class DomainConnectivity(NamedTuple):
 
 def connect_domain(positions: PositionsLike, domain: Domain, threshold: float) -> DomainConnectivity:
     """The contacts, transition points and forms of cells on any domain, as `find_connectivity` says."""
-    place = as_domain_positions(positions, domain, np.float64)
+    place = as_domain_positions(positions, domain, np.float64, bent=True)
     gaps = LayerGaps(domain, place)
-    risen = rise(gaps, first_map(gaps, place, 0.0))
+    risen = rise(gaps, first_map(gaps, gaps.apical, 0.0))
     n, is_end = len(place), np.zeros(len(place) + 4, bool)
     quads = risen.pieces.quad
     is_end[quads[(quads[:, :2] >= n).any(axis=1), :2]] = True
     for junctions in (risen.apical, risen.basal):
         is_end[junctions.labels[(junctions.labels >= n).any(axis=1)]] = True
-    transitions = _find_transitions(gaps, risen)
+    contacts, middles = _find_contacts(gaps, risen, threshold)
+    transitions = _find_transitions(gaps, risen, middles)
     forms = CellForms(np.zeros(n, bool), np.ones(n, int))
-    return DomainConnectivity(
-        _find_contacts(gaps, risen, threshold), transitions, forms, is_end[:n], stretch_anisotropy(domain, place)
-    )
+    return DomainConnectivity(contacts, transitions, forms, is_end[:n], stretch_anisotropy(domain, gaps.apical))
 
 
-def _find_transitions(gaps: LayerGaps, risen: Rise) -> Transitions:
+def _find_transitions(gaps: LayerGaps, risen: Rise, middles: WallMiddles) -> Transitions:
     """The flips of four cells within the tissue; a warning where some can't be vouched for."""
     n, flips = gaps.count, risen.flips
     real = (flips.labels < n).all(axis=1) & (flips.height > 0) & (flips.height < 1)
     labels, points = flips.labels[real], flips.point[real]
-    open_ = risen.unexplained
-    checked, at = [points], [labels]
+    checked, at = [points, middles.point], [labels, middles.pairs[:, [0, 0, 1, 1]]]
     for junctions in (risen.apical, risen.basal):
         spots = gaps.look(junctions.place, 0 * junctions.drift, junctions.at)
         order = np.sort(junctions.labels, axis=1)
         checked.append(spots.point)
         at.append(np.concatenate([order, order[:, 2:]], axis=1))
-    ahead = gaps.ahead_of(np.concatenate(checked), np.concatenate(at))
-    open_ += int((ahead < -10 * TIE * gaps.size).sum())
-    if open_:
-        told = f"{open_} neighbor changes could not be resolved, so contacts and transition points may be missing"
-        warnings.warn(f"{told}; use more cells, or separate backbones that nearly coincide", stacklevel=4)
+    names = np.concatenate(at)
+    ahead, rival = gaps.ahead_of(np.concatenate(checked), names)
+    nearer = np.flatnonzero(ahead < -10 * TIE * gaps.size)
+    told = np.column_stack([names[nearer], rival[nearer]])
+    lost = risen.unexplained + list(np.unique(np.sort(told, axis=1), axis=0))
+    if lost:
+        told = f"{len(lost)} neighbor changes of {cell_names(lost, n)} could not be resolved"
+        told += ", so contacts and transition points may be missing"
+        warnings.warn(f"{told}; use more cells, or separate backbones that nearly coincide or cross", stacklevel=4)
     per_cell = np.bincount(labels.ravel(), minlength=n)
-    return Transitions(points, labels, per_cell, open_, flips.height[real])
+    return Transitions(points, labels, per_cell, len(lost), flips.height[real])
 
 
-def _find_contacts(gaps: LayerGaps, risen: Rise, threshold: float) -> Contacts:
-    """The pairs of cells that share a wall."""
+def _find_contacts(gaps: LayerGaps, risen: Rise, threshold: float) -> tuple[Contacts, WallMiddles]:
+    """The pairs of cells that share a wall, and points of these walls."""
     n, pieces = gaps.count, risen.pieces
     chosen = (pieces.quad[:, :2] < n).all(axis=1) & (pieces.high > pieces.low)
     pieces = type(pieces)(*(part[chosen] for part in pieces))
-    area, coarse = wall_areas(gaps, pieces)
+    (area, coarse), middles = wall_areas(gaps, pieces)
     pairs = np.sort(pieces.quad[:, :2], axis=1)
     life, number = np.unique(pieces.life, return_inverse=True)
     whole = np.bincount(number, area)
@@ -97,7 +99,7 @@ def _find_contacts(gaps: LayerGaps, risen: Rise, threshold: float) -> Contacts:
     kept = (count > 0) & (total >= max(threshold, ROUNDOFF) * total[count > 0].mean() if count.any() else False)
     names = np.stack(np.divmod(keys, n), axis=1)
     _warn_of_walls(names[kept], error[kept], total[kept])
-    return Contacts(n, *(column[kept] for column in (names, total, *lengths, kind, count, error)))
+    return Contacts(n, *(column[kept] for column in (names, total, *lengths, kind, count, error))), middles
 
 
 def _warn_of_walls(
@@ -121,7 +123,7 @@ def stretch_anisotropy(domain: Domain, positions: Float[np.ndarray, "n d"]) -> F
 
     With curvatures k_1 and k_2 of the apical surface and backbones of length h along its normal it is
     (1 + k_1 h) / (1 + k_2 h), or its inverse: R_b / R_a on a tube, 1 on a sphere and a slab. In general it is the ratio
-    of the singular values of the map from one surface to the other that takes end to end.
+    of the singular values of the map from one surface to the other that takes point to point at the same position.
     """
     with double_precision():
         ends = [np.asarray(part) for part in _metrics(in_doubles(domain), jnp.asarray(positions))]

@@ -14,14 +14,16 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from jaxtissue.compilation.modes import double_precision, usual_modes
+from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain, in_doubles
+from jaxtissue.geometry.nodes import ends_on
 from jaxtissue.geometry.vectors import Vector, rows
 
 CHUNK = 2048  # places looked at in one call: always as many, so that one program serves all
 TURNS = 12  # most steps of Newton's method
 CLOSE = 1e-13  # of the tissue's size: a step as short is the last
-SAMPLES = 9  # points of a backbone that are searched
+SAMPLES = 8  # points of a backbone that are searched, and one more
 FOUND = 24  # of these that are looked at round a point
 
 
@@ -58,21 +60,20 @@ def _look(domain: Domain, m: Vector, y: Vector, h: jax.Array, other: Vector) -> 
 class LayerGaps:
     """The gaps between the cells of one tissue."""
 
-    def __init__(self, domain: Domain, positions: Float[np.ndarray, "n d"]) -> None:
+    def __init__(self, domain: Domain, positions: Float[np.ndarray, "n d"] | Float[np.ndarray, "n k d"]) -> None:
         with usual_modes(), double_precision():
             self.domain, self.count = in_doubles(domain), len(positions)
             self.base = base = self.domain.base
         self.extent = np.array([float(e) for e in base.extent]) if isinstance(base, Rectangle) else None
         self.is_free = np.asarray(base.is_end()[:2])
-        copies = base.images()[:, None] * (0 if self.extent is None else self.extent)
-        place = positions[None] if len(copies) == 1 else positions + copies
-        place = place.reshape(-1, positions.shape[1])
-        ends = self.look(place, np.zeros((len(place), 2)), np.zeros(len(place)))
-        self.start, self.along = (part.reshape(-1, self.count, 3) for part in (ends.point, ends.columns[..., 2]))
-        self.square = (self.along**2).sum(axis=-1)
-        ends = np.concatenate([self.start[0], self.start[0] + self.along[0]])
+        self.apical = ends_on(positions, "apical", domain)  # where each backbone crosses the first layer
+        self.crowd = crowd = Crowd(positions, self.domain)
+        ends = np.concatenate([crowd.start[0, : self.count], (crowd.start + crowd.along)[-1, : self.count]])
         self.size = float(np.linalg.norm(np.ptp(ends, axis=0)))
         self.width = 0.5 * float(np.sqrt(float(domain.basal_area) / self.count))
+        # the straight pieces of all copies of each cell, [copies, n, 3] for each piece
+        self.start, self.along = (part.reshape(-1, self.count, 3) for part in (crowd.start, crowd.along))
+        self.square = crowd.square.reshape(-1, self.count)
 
     def look(
         self,
@@ -180,16 +181,24 @@ class LayerGaps:
         """How the points where three labels meet, with the gaps of the first two others, move with the height."""
         return solve(lead.slope[:, :2, :2], -lead.slope[:, :2, 2])
 
-    def ahead_of(self, point: Float[np.ndarray, "p 3"], labels: Int[np.ndarray, "p k"]) -> Float[np.ndarray, " p"]:
-        """How much farther than a row's first label the nearest backbone is that is not in the row."""
-        share = np.linspace(0, 1, SAMPLES)
-        samples = self.start[:, :, None] + share[:, None] * self.along[:, :, None]
-        tree = KDTree(samples.reshape(-1, 3))
-        found = tree.query(point, min(FOUND, tree.n))[1].reshape(len(point), -1) // SAMPLES % self.count
+    def nearby(self, point: Float[np.ndarray, "p 3"], count: int) -> Int[np.ndarray, "p k"]:
+        """The backbones, copies included, of the samples of backbones that are nearest to points."""
+        share = np.linspace(0, 1, 1 + max(2, SAMPLES // len(self.crowd.start)))[:, None]
+        tree = KDTree((self.start[:, :, None] + share * self.along[:, :, None]).reshape(-1, 3))
+        found = tree.query(point, min(count, tree.n))[1].reshape(len(point), -1)
+        return found // len(share) % self.crowd.start.shape[1]
+
+    def ahead_of(
+        self, point: Float[np.ndarray, "p 3"], labels: Int[np.ndarray, "p k"]
+    ) -> tuple[Float[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+        """How much farther than a row's first label the nearest backbone is that is not in the row, and which it is."""
+        found = self.nearby(point, FOUND) % self.count
         others = np.linalg.norm(self.offset(point[:, None], found), axis=-1)
         others[(found[:, :, None] == labels[:, None]).any(axis=-1)] = np.inf
         own = np.linalg.norm(self.offset(point, labels[:, 0]), axis=-1)
-        return others.min(axis=1, initial=np.inf) - own
+        nearest = others.argmin(axis=1)
+        rows_of = np.arange(len(point))
+        return others[rows_of, nearest] - own, found[rows_of, nearest]
 
 
 def solve(matrix: Float[np.ndarray, "p k k"], right: Float[np.ndarray, "p k"]) -> Float[np.ndarray, "p k"]:

@@ -46,7 +46,7 @@ def first_map(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], height: floa
     if isinstance(junctions, str):
         if not isinstance(gaps.base, UnitSphere):
             raise ValueError(junctions)
-        junctions = sampled_map(gaps, positions, height)
+        junctions = sampled_map(gaps, height)
     junctions.at[:], junctions.since[:] = height, height
     return junctions
 

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from jaxtissue.compilation.modes import double_precision
 from jaxtissue.topology.layer_gaps import LayerGaps
 
-ROUNDS, NEAREST, LOOKED_AT, SAMPLES, ROUNDING = 12, 17, 40, 9, 1e-6
+ROUNDS, NEAREST, LOOKED_AT, ROUNDING = 12, 17, 40, 1e-6
 FAR, PARALLEL = 1e6, 1e-9  # in mean widths; the sine of an angle
 
 
@@ -60,9 +60,9 @@ def complete_polygons(
 
 def _nearest(gaps: LayerGaps) -> Int[np.ndarray, "n q"]:
     """The nearest backbones of each cell on three layers, copies included, each once; -1 in their place else."""
-    found = []
-    for h in (0.0, 0.5, 1.0):
-        points = (gaps.start + h * gaps.along).reshape(-1, 3)
+    start, along, found = gaps.crowd.start, gaps.crowd.along, []
+    for piece, share in ((0, 0.0), (len(start) // 2, len(start) % 2 / 2), (-1, 1.0)):  # the ends and the middle
+        points = start[piece] + share * along[piece]
         found.append(KDTree(points).query(points[: gaps.count], min(NEAREST, len(points)))[1].reshape(gaps.count, -1))
     listed = np.sort(np.concatenate(found, axis=1), axis=1)
     listed[:, 1:][listed[:, 1:] == listed[:, :-1]] = -1
@@ -74,12 +74,9 @@ def _lacking(
     gaps: LayerGaps, lists: Int[np.ndarray, "n q"], points: Float[np.ndarray, "p 3"], cells: Int[np.ndarray, " p"]
 ) -> Int[np.ndarray, "m 2"]:
     """Pairs of a cell and a backbone that its list lacks, though it is nearer to a corner of the cell, in order."""
-    start, along = gaps.start.reshape(-1, 3), gaps.along.reshape(-1, 3)
-    share = np.linspace(0, 1, SAMPLES)[:, None]
-    tree = KDTree((start[:, None] + share * along[:, None]).reshape(-1, 3))
-    found = tree.query(points, min(LOOKED_AT, tree.n))[1].reshape(len(points), -1) // SAMPLES
-    own = np.linalg.norm(_offset(start[cells], along[cells], points), axis=-1)
-    others = np.linalg.norm(_offset(start[found], along[found], points[:, None]), axis=-1)
+    found = gaps.nearby(points, LOOKED_AT)
+    own = np.linalg.norm(gaps.crowd.offset(points, cells), axis=-1)
+    others = np.linalg.norm(gaps.crowd.offset(points[:, None], found), axis=-1)
     listed = (lists[cells][:, None] == found[..., None]).any(axis=-1) | (found == cells[:, None])
     row, column = np.nonzero(~listed & (others < (1 - ROUNDING) * own[:, None]))
     return np.unique(np.stack([cells[row], found[row, column]], axis=1), axis=0)
@@ -125,12 +122,10 @@ def _tangents(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The walls as lines where each is taken, [n, q]: normals, offsets, and which lines are good for anything."""
     n, q = lists.shape
-    start, along = (part.reshape(-1, 3)[lists] for part in (gaps.start, gaps.along))
     spots = gaps.look(np.repeat(positions, q, axis=0), (z @ np.swapaxes(basis, 1, 2)).reshape(-1, 2),
                       np.full(n * q, height))  # fmt: skip
     point = spots.point.reshape(n, q, 3)
-    mine = _offset(gaps.start[0][:, None], gaps.along[0][:, None], point)
-    theirs = _offset(start, along, point)
+    mine, theirs = (gaps.crowd.offset(point, number) for number in (np.arange(n)[:, None], lists))
     apart = theirs - mine
     slope = 2 * np.einsum("nqi,nqij->nqj", apart, spots.columns[..., :2].reshape(n, q, 3, 2) @ basis[:, None])
     steep = np.maximum(np.linalg.norm(slope, axis=-1), 1e-300)
@@ -196,10 +191,3 @@ def _nearer(lines: _Lines, low: np.ndarray, high: np.ndarray) -> Float[np.ndarra
 
 def _turned(vector: np.ndarray) -> np.ndarray:
     return np.stack([-vector[..., 1], vector[..., 0]], axis=-1)
-
-
-def _offset(start: np.ndarray, along: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """From the nearest points of segments to points."""
-    way = point - start
-    share = np.clip((way * along).sum(axis=-1) / (along**2).sum(axis=-1), 0, 1)
-    return way - share[..., None] * along

@@ -27,6 +27,14 @@ class Curve(NamedTuple):
 
     length: Float[np.ndarray, "2 e"]
     area: Float[np.ndarray, "2 e"]  # of the wall, per height
+    middle: Float[np.ndarray, "e 3"]
+
+
+class WallMiddles(NamedTuple):
+    """A point within each piece of a wall."""
+
+    point: Float[np.ndarray, "e 3"]
+    pairs: Int[np.ndarray, "e 2"]
 
 
 def edge_sizes(
@@ -61,12 +69,14 @@ def edge_sizes(
     length = np.linalg.norm(np.einsum("pij,pj->pi", spots.columns[..., :2], along), axis=1)
     element = np.abs(np.linalg.det(spots.columns)) * (ahead**2).sum(axis=1) / np.abs(steep)
     area = lead.steep[:, 0] * element
-    return Curve(*(ALONG_RULES @ size.reshape(-1, len(ALONG)).T for size in (length, area)))
+    middle = spots.point[len(ALONG) // 2 :: len(ALONG)]
+    length, area = (ALONG_RULES @ size.reshape(-1, len(ALONG)).T for size in (length, area))
+    return Curve(length, area, middle)
 
 
-def wall_areas(gaps: LayerGaps, pieces: Pieces) -> Float[np.ndarray, "2 e"]:
-    """The areas of the walls of pieces of edges between two cells, by the finer and the coarser rule."""
-    total = np.zeros((2, len(pieces.low)))
+def wall_areas(gaps: LayerGaps, pieces: Pieces) -> tuple[Float[np.ndarray, "2 e"], WallMiddles]:
+    """The areas of the walls of pieces of edges between two cells, by the finer and the coarser rule; and middles."""
+    total, middle = np.zeros((2, len(pieces.low))), np.zeros((len(pieces.low), 3))
     for node, weights in zip(LAYERS, LAYER_RULES.T, strict=True):
         height = pieces.low + (pieces.high - pieces.low) * node
         ends = []
@@ -74,8 +84,10 @@ def wall_areas(gaps: LayerGaps, pieces: Pieces) -> Float[np.ndarray, "2 e"]:
             labels = np.sort(pieces.quad[:, [0, 1, 2 + k]], axis=1)
             away = pieces.drift[:, k] * (height - pieces.at[:, k])[:, None]
             ends.append(gaps.meet(labels, pieces.place[:, k], height, away)[0].place)
-        total += weights[:, None] * edge_sizes(gaps, pieces.quad[:, :2], ends[0], ends[1], height).area
-    return total * (pieces.high - pieces.low)
+        curve = edge_sizes(gaps, pieces.quad[:, :2], ends[0], ends[1], height)
+        total += weights[:, None] * curve.area
+        middle = curve.middle if weights[1] else middle
+    return total * (pieces.high - pieces.low), WallMiddles(middle, pieces.quad[:, :2])
 
 
 def surface_edges(gaps: LayerGaps, junctions: Junctions) -> tuple[Int[np.ndarray, "e 2"], Float[np.ndarray, " e"]]:

@@ -18,6 +18,7 @@ LEAST = 2.0**-12  # the shortest step
 FORCED = 4  # steps that are taken though they are not explained; then the cells are given up
 ROUNDS = 24  # of flips within a step
 TIE = 1e-11  # of the tissue's size: labels as near are as near as each other
+NAMED = 8  # cells in a message
 LATE = 1e-9  # of the height, by which a flip may be found before or after its step
 
 
@@ -52,14 +53,14 @@ class Rise(NamedTuple):
         basal: Those of the basal surface.
         pieces: All edges in between.
         flips: All flips, also those at the ends of the tissue.
-        unexplained: How many changes no flip was found for.
+        unexplained: The labels of cells round each change that no flip was found for.
     """
 
     apical: Junctions
     basal: Junctions
     pieces: Pieces
     flips: Flips
-    unexplained: int
+    unexplained: list[Int[np.ndarray, " k"]]
 
 
 class SideGaps(NamedTuple):
@@ -93,11 +94,11 @@ class _Climb:
         self.lives = int(junctions.life.max()) + 1
         self.pieces: list[Pieces] = []
         self.flips: list[Flips] = []
-        self.unexplained = 0
+        self.unexplained: list[np.ndarray] = []
 
     def settle(self) -> None:
         """Put junctions where they are on their layer, and flip sides until no label is nearer than those that meet."""
-        now, row = self.now, np.zeros(0, int)
+        now, row, side = self.now, np.zeros(0, int), np.zeros(0, int)
         for _ in range(8 * ROUNDS):
             spots, _, done = self.gaps.meet(np.sort(now.labels, axis=1), now.place, now.at)
             found_gaps = side_gaps(self.gaps, now, spots)
@@ -113,7 +114,7 @@ class _Climb:
                     continue
                 used |= {t, other}
                 now.flip(t, k, int(now.life[t, k]), float(now.at[t]))
-        self.unexplained += len(row)
+        self.unexplained += list(now.quads(row, side))
 
     def step(self, low: float, high: float, force: bool) -> bool:
         """Go from one layer to the next; False, and nothing done, where a change can't be explained."""
@@ -121,7 +122,7 @@ class _Climb:
         before = side_gaps(self.gaps, begun, self.gaps.look(begun.place, 0 * begun.drift, begun.at))
         now, known = self.now, np.zeros(len(begun.at), bool)
         spots = self.gaps.look(now.place, now.drift * (high - now.at)[:, None], np.full(len(now.at), high))
-        done, row = known.copy(), np.zeros(0, int)
+        done, row, side = known.copy(), np.zeros(0, int), np.zeros(0, int)
         for _ in range(ROUNDS):
             open_ = np.flatnonzero(~known)
             if len(open_):
@@ -144,7 +145,7 @@ class _Climb:
                 break
         if force:
             self.now.place, self.now.at[:], self.now.since[:] = spots.place, high, high
-            self.unexplained += max(1, len(row))
+            self.unexplained += list(self.now.quads(row, side)) or [np.zeros(0, int)]
             self.settle()
             return True
         self.now, self.lives = begun, lives
@@ -238,16 +239,26 @@ def rise(gaps: LayerGaps, junctions: Junctions) -> Rise:
     climb.settle()
     apical, low, step, forced = climb.now.copy(), 0.0, 1 / STEPS, 0
     while low < 1:
-        high, before = min(1.0, low + step), climb.unexplained
+        high, before = min(1.0, low + step), len(climb.unexplained)
         if climb.step(low, high, step <= LEAST):
             low, step = high, min(2 * step, 1 / STEPS)
-            forced += climb.unexplained > before
+            forced += len(climb.unexplained) > before
         else:
             step /= 2
         if forced > FORCED:
-            told = f"the contacts of the cells can't be followed beyond height {low:.3g}"
-            raise ValueError(f"{told}; cells may wrap around the tissue there: use more cells")
+            told = (
+                f"the contacts of {cell_names(climb.unexplained, gaps.count)} can't be followed beyond height {low:.3g}"
+            )
+            why = "they may wrap around the tissue there, or their backbones nearly cross"
+            raise ValueError(f"{told}; {why}: use more cells, or separate these")
     pieces = Pieces(*(np.concatenate(parts) for parts in zip(*climb.pieces, strict=True)))
     none = Flips(np.zeros((0, 4), int), np.zeros((0, 3)), np.zeros(0))
     flips = Flips(*(np.concatenate(parts) for parts in zip(none, *climb.flips, strict=True)))
     return Rise(apical, climb.now, pieces, flips, climb.unexplained)
+
+
+def cell_names(labels: list[Int[np.ndarray, " k"]], count: int) -> str:
+    """The first few cells among labels, as messages name them."""
+    found = np.unique(np.concatenate([*labels, np.zeros(0, int)]))
+    found = found[found < count].tolist()
+    return f"cells {', '.join(map(str, found[:NAMED]))}{' and others' if len(found) > NAMED else ''}"

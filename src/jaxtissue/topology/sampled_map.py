@@ -13,7 +13,6 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 
-from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.topology.junctions import Junctions, joined
 from jaxtissue.topology.layer_gaps import LayerGaps
 
@@ -22,17 +21,17 @@ FEWEST = 3  # cells of a closed surface, all disks, of which three meet somewher
 POINTS = 300, 600, 1200  # of each cell: the more the smaller the parts of cells that are seen apart
 
 
-def sampled_map(gaps: LayerGaps, positions: Float[np.ndarray, "n 3"], height: float) -> Junctions:
+def sampled_map(gaps: LayerGaps, height: float) -> Junctions:
     """The junctions of a layer over a sphere, near to where they are.
 
     Raises `ValueError`, naming a cell, unless each cell is a disk.
     """
-    wrong, crowd = "", Crowd(positions, gaps.domain)
+    wrong = ""
     for count in POINTS:
         place = _spread(count * gaps.count)
         hull = ConvexHull(place)
         point = gaps.look(place, np.zeros((len(place), 2)), np.full(len(place), height)).point
-        label, wrong = _whole(crowd.nearest(point), hull.simplices)
+        label, wrong = _whole(gaps.crowd.nearest(point) % gaps.count, hull.simplices)
         wrong = wrong or _no_disk(gaps.count, label, hull.simplices)
         if not wrong and gaps.count < FEWEST:
             wrong = f"no three of the {gaps.count} cells meet"

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 
 from jaxtissue.geometry.array_likes import ArrayLike, PositionsLike
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import domain_of
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.topology.contacts import Contacts, find_contacts, find_faces
@@ -46,9 +47,9 @@ class Connectivity:
         sizes: Volume, areas and perimeters of each cell in float64, with the per-cell fields of `CellGeometry`. None if
             `open_ends` is not 0, and for domains other than `Tube`.
         stretch_anisotropy: Ratio of the larger to the smaller principal stretch from the apical to the basal surface at
-            each backbone, shape [n]: (1 + k_1 h) / (1 + k_2 h) or its inverse, with the thickness h of the tissue and
-            the principal curvatures k_1 and k_2 of the apical surface, positive if it bulges toward the basal one.
-            None for a `Tube`, in which it is R_b / R_a everywhere.
+            each backbone, at its apical end, shape [n]: (1 + k_1 h) / (1 + k_2 h) or its inverse, with the thickness h
+            of the tissue and the principal curvatures k_1 and k_2 of the apical surface, positive if it bulges toward
+            the basal one. None for a `Tube`, in which it is R_b / R_a everywhere.
     """
 
     contacts: Contacts
@@ -68,12 +69,14 @@ def find_connectivity(positions: PositionsLike, domain: Tube | Domain, threshold
     On other domains, the vertices of the cells on the apical surface are followed through layers of constant height to
     the basal surface, in float64, and transition points are located by Newton's method. Layers are refined until
     transition points explain every change between consecutive layers; a warning gives the number of unexplained
-    changes, if any. There, `forms.is_ring` is False, `forms.pieces` is 1 and `sizes` is None for all cells.
+    changes, if any, and names their cells. There, `forms.is_ring` is False, `forms.pieces` is 1 and `sizes` is None for
+    all cells.
 
     Args:
         positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
             columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
-        domain: The tube or other domain.
+            For tilted and bent backbones positions of nodes, shape [n, k, d], or [n, k, d + 1] with heights.
+        domain: The tube or other domain. With nodes, a `Tube` is treated as a `RoundTube`.
         threshold: Omit walls smaller than this fraction of the mean wall area from `contacts`; other results do not
             depend on it. Defaults to 0.
 
@@ -83,7 +86,7 @@ def find_connectivity(positions: PositionsLike, domain: Tube | Domain, threshold
     Raises:
         ValueError: If a position is not finite, lies outside the domain or coincides with another, or if `threshold` is
             negative or NaN. On domains other than `Tube`, also if a cell encircles the domain or shares a wall with its
-            own periodic image.
+            own periodic image, or if backbones nearly cross.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> len(four.contacts.pairs), four.transitions.per_cell.tolist(), four.is_end.tolist()
@@ -91,6 +94,7 @@ def find_connectivity(positions: PositionsLike, domain: Tube | Domain, threshold
     """
     if not threshold >= 0:
         raise ValueError(f"threshold={threshold} is not at least 0; give a fraction of the mean wall area")
+    domain = domain_of(domain, positions)
     if isinstance(domain, Domain):
         return Connectivity(**connect_domain(positions, domain, threshold)._asdict())
     place = as_positions(positions, domain, np.float64)
