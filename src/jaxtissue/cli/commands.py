@@ -202,18 +202,13 @@ def fit(arguments: dict[str, Any]) -> int:
     check_folder(folder, arguments["force"])
     _use_x64(arguments["x64"])
     _say(f"fitting a {arguments['shape']} to {arguments['file']}")
-    nodes = arguments["nodes"]
-    report = run_fit(
-        arguments["file"], arguments["spacing"], arguments["shape"], folder, nodes=nodes, flat=arguments["flat"]
-    )
+    file, spacing, shape = (arguments[name] for name in ("file", "spacing", "shape"))
+    report = run_fit(file, spacing, shape, folder, arguments["nodes"], arguments["flat"])
     for name, value in report.items():
         print(f"{name:28}{value:.6g}")
     print(f"written to {folder}; continue with:")
     further = f"--domain {folder / 'domain.json'} --out {folder / 'measured'}"
-    print(f"  jaxtissue measure {folder / 'backbones.csv'} {further}{' --no-contacts' * (nodes > 1)}")
-    if nodes > 1:
-        told = "contacts, transition points and pictures of tilted and bent backbones are not computed"
-        print(f"{told}; neighbors in cells.csv are counted in the voxels of the model")
+    print(f"  jaxtissue measure {folder / 'backbones.csv'} {further}")
     return 0
 
 

@@ -108,6 +108,6 @@ RELATIVE = (
 )
 NODES = (
     "points that each backbone goes through from surface to surface; 2: tilted, 3 or more: bent backbones, without "
-    "contacts and pictures (default: 1, straight)"
+    "pictures (default: 1, straight)"
 )
 RUN = "folder written by anneal, relax, measure or fit"

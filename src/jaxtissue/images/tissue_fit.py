@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxtissue.geometry.domain_positions import ends_in_space, place_columns
-from jaxtissue.geometry.nodes import domain_of, has_nodes
+from jaxtissue.geometry.nodes import domain_of
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.images.backbone_fit import Positions, WallPoints, fit_backbones
 from jaxtissue.images.drawing import draw_labels
@@ -77,11 +77,8 @@ class TissueFit:
     def connectivity(self) -> Connectivity | None:
         """Contacts and transition points of the cells of the model, a `Connectivity`.
 
-        None for tilted and bent backbones, whose edges cannot be traced, and with a warning where tracing fails on
-        another domain than a `Tube`.
+        None, with a warning, where they cannot be found on another domain than a `Tube`.
         """
-        if has_nodes(self.positions):
-            return None
         try:
             return find_connectivity(self.positions, self.domain)
         except ValueError as error:
@@ -93,8 +90,8 @@ class TissueFit:
     def columns(self) -> dict[str, np.ndarray]:
         """Tabulate the cells, as measured in the image (prefix `image_`) and in the model (prefix `model_`).
 
-        Tilted and bent backbones have the coordinates of both ends (prefixes `apical_` and `basal_`), and the neighbors
-        in `drawn`.
+        Tilted and bent backbones have the coordinates of both ends (prefixes `apical_` and `basal_`). Without
+        `connectivity`, the neighbors are those in `drawn`.
 
         Returns:
             Mapping from column name to an array of shape [n].
