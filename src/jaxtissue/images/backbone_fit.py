@@ -15,7 +15,8 @@ from jaxtissue.geometry.nodes import has_nodes
 
 OUTLIER = 0.5  # voxels off the wall from which on a point counts less and less
 STEPS = 40  # of least squares at most
-STIFFNESS = 3e-5  # of bent backbones for every voxel face of a cell: enough for nodes that hardly any wall points tell
+STIFFNESS = 3e-5  # of tilted and bent backbones, in parts of what their walls hold: for what hardly any wall tells
+LEAN = 4.0  # a lean counts as a bow half as deep
 DAMPING, LEAST, MOST, TINY = 1e-3, 1e-8, 1e3, 1e-12  # of the diagonal; the last one where a cell has no walls
 TOLERANCE = 1e-3  # voxels by which the last step moves backbones
 
@@ -50,8 +51,8 @@ def fit_backbones(
 
     The distance of a point p from the wall of the cells i and j is, to first order, (d_i(p)^2 - d_j(p)^2) / 2 |q_i -
     q_j|, with the feet q on the two backbones. The sum of its squares over all points, each by its area, is made small
-    by sparse least squares, with less weight for outliers. Cells without walls stay where they start. Bent backbones
-    are a little stiff, which places those nodes that walls do not tell.
+    by sparse least squares, with less weight for outliers. Cells without walls stay where they start. Tilted and bent
+    backbones are a little stiff, which places the nodes that no walls tell.
 
     Args:
         domain: What the backbones stand in; its `embed` places them in space.
@@ -116,8 +117,8 @@ def _look(task: _Task, positions: Positions) -> _Look:
     weight = 1 / (2 * step * np.maximum(apart, 1e-3 * step))
     miss = (first.square - second.square) * weight
     loss = (task.root**2 * (np.sqrt(1 + (miss / OUTLIER) ** 2) - 1)).sum()
-    bent = (np.diff(nodes, 2, axis=1) ** 2).sum() / (2 * OUTLIER**2)  # as small misses count
-    return _Look((first, second), miss, weight, float(loss + task.stiffness * bent))
+    strain = ((_strains(nodes.shape[1]) @ nodes) ** 2).sum() / (2 * OUTLIER**2)  # as small misses count
+    return _Look((first, second), miss, weight, float(loss + task.stiffness * strain))
 
 
 def _find_feet(
@@ -164,24 +165,30 @@ def _differences(
 
 
 def _choose_stiffness(task: _Task, start: Positions, scale: Float[np.ndarray, "... d"]) -> float:
-    """The weight of the squares of second differences of nodes in space; curves of the same shape weigh alike."""
-    if not has_nodes(start) or start.shape[1] < 3:
+    """The weight of the strains of backbones."""
+    if not has_nodes(start):
         return 0.0
     table = _differences(task, start, _look(task, start), scale)
-    return STIFFNESS * (start.shape[1] - 1) ** 4 * float(table.power(2).sum()) / start.size
+    return STIFFNESS * float(table.power(2).sum()) / start.size
+
+
+def _strains(count: int) -> Float[np.ndarray, "strains k"]:
+    """The strains of nodes in space: second differences, so that curves of one shape count alike, and the lean."""
+    bend = (count - 1) ** 2 * np.diff(np.eye(count), 2, axis=0)
+    return np.concatenate([bend, LEAN * (np.eye(count)[-1:] - np.eye(count)[:1])])
 
 
 def _stiffen(
     task: _Task, positions: Positions, scale: Float[np.ndarray, "k d"]
 ) -> tuple[sparse.sparray, Float[np.ndarray, " unknowns"]]:
-    """The second and first derivatives of half the squares of second differences, by their weight."""
+    """The second and first derivatives of half the squares of the strains of backbones, by their weight."""
     n, k, _ = positions.shape
-    second = np.diff(np.eye(k), 2, axis=0)
+    strains = _strains(k)
     slopes = _at_nodes(_differentiate, task.domain, positions) * scale[:, None]
-    slopes = np.einsum("ij,njcd->nicjd", second, slopes).reshape(n, 3 * (k - 2), -1)
-    bent = (second @ _at_nodes(_embed, task.domain, positions)).reshape(n, -1)
+    slopes = np.einsum("ij,njcd->nicjd", strains, slopes).reshape(n, 3 * len(strains), -1)
+    strain = (strains @ _at_nodes(_embed, task.domain, positions)).reshape(n, -1)
     squares = sparse.block_diag(list(slopes.transpose(0, 2, 1) @ slopes))
-    return task.stiffness * squares, task.stiffness * np.einsum("nru,nr->nu", slopes, bent).ravel()
+    return task.stiffness * squares, task.stiffness * np.einsum("nru,nr->nu", slopes, strain).ravel()
 
 
 def _scales(domain: Any, positions: Positions) -> Float[np.ndarray, "... d"]:

@@ -32,7 +32,7 @@ class Fitter(NamedTuple):
         start: First positions, from the domain, the points of all cells in its frame, their cells and the number of
             cells.
         invert: The points of the base surface and the heights, 0 to 1, of points in the domain's frame.
-        settle: Brings positions back into the domain, also those of nodes.
+        settle: Brings positions back into the domain, or to within a distance of its ends, also those of nodes.
         enclose: Extends the domain to where backbones of cells at the border of the image stand, within reason; the
             domain, its frame and the positions in it, from these, also from those of nodes.
         locate: Marks points by where they are: `INSIDE` the tissue, on its `APICAL` or `BASAL` side, or 0, neither.
@@ -42,7 +42,7 @@ class Fitter(NamedTuple):
     domain: Callable[[Int[np.ndarray, "z y x"], Float[np.ndarray, "3"]], tuple[Any, Frame]]
     start: Callable[[Any, Float[np.ndarray, "p 3"], Int[np.ndarray, " p"], int], Float[np.ndarray, "n d"]]
     invert: Callable[[Any, Float[np.ndarray, "p 3"]], tuple[Float[np.ndarray, "p d"], Float[np.ndarray, " p"]]]
-    settle: Callable[[Any, Positions], Positions]
+    settle: Callable[[Any, Positions, float], Positions]
     enclose: Callable[[Any, Frame, Positions], tuple[Any, Frame, Positions]]
     locate: Callable[[Any, Float[np.ndarray, "p 3"]], Int[np.ndarray, " p"]]
 
@@ -65,9 +65,9 @@ def _invert_tube(
     return np.column_stack([points[:, 0], np.arctan2(points[:, 2], points[:, 1])]), np.clip(height, 0, 1)
 
 
-def _settle_in_tube(tube: Tube | RoundTube, positions: Positions) -> Positions:
-    axial, angle = positions[..., 0], positions[..., 1]
-    return np.stack([np.clip(axial, 0, float(tube.length)), np.mod(angle, 2 * math.pi)], axis=-1)
+def _settle_in_tube(tube: Tube | RoundTube, positions: Positions, beyond: float = 0.0) -> Positions:
+    axial = np.clip(positions[..., 0], -beyond, float(tube.length) + beyond)
+    return np.stack([axial, np.mod(positions[..., 1], 2 * math.pi)], axis=-1)
 
 
 def _enclose_by_tube(
@@ -103,8 +103,8 @@ def _invert_slab(
     return points[:, :2], np.clip(points[:, 2] / float(slab.thickness), 0, 1)
 
 
-def _settle_in_slab(slab: Slab, positions: Positions) -> Positions:
-    return np.clip(positions, 0, [float(slab.width), float(slab.depth)])
+def _settle_in_slab(slab: Slab, positions: Positions, beyond: float = 0.0) -> Positions:
+    return np.clip(positions, -beyond, np.array([float(slab.width), float(slab.depth)]) + beyond)
 
 
 def _enclose_by_slab(slab: Slab, frame: Frame, positions: Positions) -> tuple[Slab, Frame, Positions]:
@@ -154,7 +154,7 @@ def _invert_shell(
     return _settle_in_shell(shell, points / (apical + low[:, None] * (basal - apical))), low
 
 
-def _settle_in_shell(shell: Sphere | Ellipsoid, positions: Positions) -> Positions:
+def _settle_in_shell(shell: Sphere | Ellipsoid, positions: Positions, beyond: float = 0.0) -> Positions:
     return positions / np.linalg.norm(positions, axis=-1, keepdims=True)
 
 

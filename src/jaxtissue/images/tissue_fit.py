@@ -143,7 +143,7 @@ def fit_tissue(image: Any, spacing: Any, shape: str = "tube", nodes: int | None 
 
     With `nodes`, the backbones are tilted or bent: each is a polyline through k points at equally spaced heights. The
     fit then starts from the middles of the cells at these heights. Each node needs walls beside it, so nodes are less
-    certain than straight backbones, the more so the more there are; a slight stiffness of bent backbones places those
+    certain than straight backbones, the more so the more there are; a slight stiffness of the backbones places those
     that no walls determine. Contacts and transition points are not computed, and neighbors are counted in `voxels`.
 
     A slab has no lumen that tells its two sides apart: its apical surface is the one at the smaller coordinate along
@@ -189,9 +189,12 @@ def fit_tissue(image: Any, spacing: Any, shape: str = "tube", nodes: int | None 
     domain = domain_of(domain, start)
     walls, step = _wall_points(dense, sizes, frame), float(np.prod(sizes) ** (1 / 3))
     free = touches_border(cleaned, labels).reshape(-1, *[1] * (start.ndim - 1))
-    positions = fit_backbones(
-        domain, start, walls, step, lambda place: np.where(free, place, fitter.settle(domain, place))
-    )
+    beyond = np.inf if start.ndim == 2 else math.sqrt(float(domain.basal_area) / len(labels))
+
+    def settle(place: Positions) -> Positions:
+        return np.where(free, fitter.settle(domain, place, beyond), fitter.settle(domain, place, 0.0))
+
+    positions = fit_backbones(domain, start, walls, step, settle)
     domain, frame, positions = fitter.enclose(domain, frame, positions)
     voxels, marks = draw_labels(domain, positions, labels, frame, sizes, given.shape)
     beside, sides = _find_beside(voxels, cleaned, labels), np.where(marks == INSIDE, 0, marks)
@@ -224,7 +227,7 @@ def _start(
         told = f"nodes={nodes} are too many for a tissue of {layers:.3g} voxels from surface to surface"
         raise ValueError(f"{told}; give at most {most}, or an image with finer voxels")
     above: Any = domain_of(domain, middle[:, None])
-    return fitter.settle(above, start_nodes(above, middle, *fitter.invert(above, points), cells, nodes))
+    return fitter.settle(above, start_nodes(above, middle, *fitter.invert(above, points), cells, nodes), 0.0)
 
 
 def _find_beside(
