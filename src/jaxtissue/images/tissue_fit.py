@@ -144,7 +144,7 @@ def fit_tissue(image: Any, spacing: Any, shape: str = "tube", nodes: int | None 
     With `nodes`, the backbones are tilted or bent: each is a polyline through k points at equally spaced heights. The
     fit then starts from the middles of the cells at these heights. Each node needs walls beside it, so nodes are less
     certain than straight backbones, the more so the more there are; a slight stiffness of the backbones places those
-    that no walls determine. Contacts and transition points are not computed, and neighbors are counted in `voxels`.
+    that no walls determine.
 
     A slab has no lumen that tells its two sides apart: its apical surface is the one at the smaller coordinate along
     the axis of the image that is nearest to its normal. For the other choice flip the image along that axis.
