@@ -154,6 +154,7 @@ def test_nodes_without_walls_go_on_nearly_straight():
     assert np.abs(np.delete(found - positions, 7, axis=0)).max() < 3 * STEP
 
 
+@pytest.mark.filterwarnings("ignore:contacts of the fitted cells are not computed")  # cells reach far round the lumen
 @pytest.mark.parametrize("nodes", [2, 3])
 def test_cells_that_the_image_cuts_stay_near(nodes):
     """Of 17 cells, 11 lack a part of their walls; without stiffness nodes of theirs were off by 56 and 23 voxels."""
