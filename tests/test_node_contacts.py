@@ -141,3 +141,13 @@ def test_a_rotated_ball_is_the_same():
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     # walls are creased inside of bends: there the rules for their areas see them otherwise from another side
     same(jt.find_connectivity(place, BALL), jt.find_connectivity(place @ turn, BALL), 2e-3)
+
+
+def test_backbones_that_nearly_cross_are_named():
+    """Two neighbors that change places above the middle, where they pass each other at a 15th of a cell's width."""
+    domain, place = CASES["bent"]
+    crossed, pair = place.copy(), [12, 13]
+    crossed[pair, 2] = place[pair[::-1], 2]
+    crossed[pair, 1] = place[pair, 1].mean(axis=0) + np.array([[0.03, 0], [-0.03, 0]])
+    with pytest.raises(ValueError, match=r"of cells .*12, 13.* can't be followed .* their backbones nearly cross"):
+        jt.find_connectivity(crossed, domain)

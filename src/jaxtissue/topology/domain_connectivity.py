@@ -16,7 +16,7 @@ from jaxtissue.geometry.vectors import components, dot
 from jaxtissue.topology.contacts import KINDS, ROUNDOFF, Contacts
 from jaxtissue.topology.layer_gaps import LayerGaps
 from jaxtissue.topology.layer_map import first_map
-from jaxtissue.topology.layer_walls import WallMiddles, surface_edges, wall_areas
+from jaxtissue.topology.layer_walls import WallPoints, surface_edges, wall_areas
 from jaxtissue.topology.rising import TIE, Rise, cell_names, rise
 from jaxtissue.topology.transitions import CellForms, Transitions
 
@@ -44,18 +44,18 @@ def connect_domain(positions: PositionsLike, domain: Domain, threshold: float) -
     is_end[quads[(quads[:, :2] >= n).any(axis=1), :2]] = True
     for junctions in (risen.apical, risen.basal):
         is_end[junctions.labels[(junctions.labels >= n).any(axis=1)]] = True
-    contacts, middles = _find_contacts(gaps, risen, threshold)
-    transitions = _find_transitions(gaps, risen, middles)
+    contacts, walls = _find_contacts(gaps, risen, threshold)
+    transitions = _find_transitions(gaps, risen, walls)
     forms = CellForms(np.zeros(n, bool), np.ones(n, int))
     return DomainConnectivity(contacts, transitions, forms, is_end[:n], stretch_anisotropy(domain, gaps.apical))
 
 
-def _find_transitions(gaps: LayerGaps, risen: Rise, middles: WallMiddles) -> Transitions:
+def _find_transitions(gaps: LayerGaps, risen: Rise, walls: WallPoints) -> Transitions:
     """The flips of four cells within the tissue; a warning where some can't be vouched for."""
     n, flips = gaps.count, risen.flips
     real = (flips.labels < n).all(axis=1) & (flips.height > 0) & (flips.height < 1)
     labels, points = flips.labels[real], flips.point[real]
-    checked, at = [points, middles.point], [labels, middles.pairs[:, [0, 0, 1, 1]]]
+    checked, at = [points, walls.point], [labels, walls.pairs[:, [0, 0, 1, 1]]]
     for junctions in (risen.apical, risen.basal):
         spots = gaps.look(junctions.place, 0 * junctions.drift, junctions.at)
         order = np.sort(junctions.labels, axis=1)
@@ -74,12 +74,12 @@ def _find_transitions(gaps: LayerGaps, risen: Rise, middles: WallMiddles) -> Tra
     return Transitions(points, labels, per_cell, len(lost), flips.height[real])
 
 
-def _find_contacts(gaps: LayerGaps, risen: Rise, threshold: float) -> tuple[Contacts, WallMiddles]:
+def _find_contacts(gaps: LayerGaps, risen: Rise, threshold: float) -> tuple[Contacts, WallPoints]:
     """The pairs of cells that share a wall, and points of these walls."""
     n, pieces = gaps.count, risen.pieces
     chosen = (pieces.quad[:, :2] < n).all(axis=1) & (pieces.high > pieces.low)
     pieces = type(pieces)(*(part[chosen] for part in pieces))
-    (area, coarse), middles = wall_areas(gaps, pieces)
+    (area, coarse), walls = wall_areas(gaps, pieces)
     pairs = np.sort(pieces.quad[:, :2], axis=1)
     life, number = np.unique(pieces.life, return_inverse=True)
     whole = np.bincount(number, area)
@@ -99,7 +99,7 @@ def _find_contacts(gaps: LayerGaps, risen: Rise, threshold: float) -> tuple[Cont
     kept = (count > 0) & (total >= max(threshold, ROUNDOFF) * total[count > 0].mean() if count.any() else False)
     names = np.stack(np.divmod(keys, n), axis=1)
     _warn_of_walls(names[kept], error[kept], total[kept])
-    return Contacts(n, *(column[kept] for column in (names, total, *lengths, kind, count, error))), middles
+    return Contacts(n, *(column[kept] for column in (names, total, *lengths, kind, count, error))), walls
 
 
 def _warn_of_walls(

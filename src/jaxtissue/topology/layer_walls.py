@@ -10,6 +10,7 @@ from jaxtissue.topology.layer_gaps import LayerGaps
 from jaxtissue.topology.rising import Pieces
 
 STEPS = 3  # of Newton's method, to a wall
+OFF = 1e-5  # of the tissue's size, by which points that are not brought onto a wall miss it
 # Rules from 0 to 1, each with a coarser one on some of its nodes: their difference tells the error. Along an edge
 # Gauss's rule of three nodes and Kronrod's of seven, over the height of a piece the middle and Gauss's of three.
 _FAR = np.array([0.960491268708020283, 0.774596669241483377, 0.434243749346802558])
@@ -22,19 +23,19 @@ LAYERS = (1 + np.array([-np.sqrt(0.6), 0, np.sqrt(0.6)])) / 2
 LAYER_RULES = np.stack([_GAUSS, [0, 1, 0]])
 
 
+class WallPoints(NamedTuple):
+    """Points of walls, and the two cells of each."""
+
+    point: Float[np.ndarray, "p 3"]
+    pairs: Int[np.ndarray, "p 2"]
+
+
 class Curve(NamedTuple):
     """What is integrated along edges between two cells, by the finer and the coarser rule, [2, e]."""
 
     length: Float[np.ndarray, "2 e"]
     area: Float[np.ndarray, "2 e"]  # of the wall, per height
-    middle: Float[np.ndarray, "e 3"]
-
-
-class WallMiddles(NamedTuple):
-    """A point within each piece of a wall."""
-
-    point: Float[np.ndarray, "e 3"]
-    pairs: Int[np.ndarray, "e 2"]
+    points: WallPoints
 
 
 def edge_sizes(
@@ -69,14 +70,16 @@ def edge_sizes(
     length = np.linalg.norm(np.einsum("pij,pj->pi", spots.columns[..., :2], along), axis=1)
     element = np.abs(np.linalg.det(spots.columns)) * (ahead**2).sum(axis=1) / np.abs(steep)
     area = lead.steep[:, 0] * element
-    middle = spots.point[len(ALONG) // 2 :: len(ALONG)]
     length, area = (ALONG_RULES @ size.reshape(-1, len(ALONG)).T for size in (length, area))
-    return Curve(length, area, middle)
+    missed = np.abs(lead.value[:, 0]) > OFF * gaps.size * np.maximum(lead.steep[:, 0], 1e-300)
+    area[1, missed.reshape(-1, len(ALONG)).any(axis=1)] = 0  # all of the area is in doubt
+    inner = np.flatnonzero(~missed & np.tile(ALONG_RULES[1] > 0, len(pairs)))
+    return Curve(length, area, WallPoints(spots.point[inner], labels[inner]))
 
 
-def wall_areas(gaps: LayerGaps, pieces: Pieces) -> tuple[Float[np.ndarray, "2 e"], WallMiddles]:
-    """The areas of the walls of pieces of edges between two cells, by the finer and the coarser rule; and middles."""
-    total, middle = np.zeros((2, len(pieces.low))), np.zeros((len(pieces.low), 3))
+def wall_areas(gaps: LayerGaps, pieces: Pieces) -> tuple[Float[np.ndarray, "2 e"], WallPoints]:
+    """The areas of the walls of pieces of edges between two cells, by the finer and the coarser rule; and points."""
+    total, points = np.zeros((2, len(pieces.low))), WallPoints(np.zeros((0, 3)), np.zeros((0, 2), int))
     for node, weights in zip(LAYERS, LAYER_RULES.T, strict=True):
         height = pieces.low + (pieces.high - pieces.low) * node
         ends = []
@@ -86,8 +89,8 @@ def wall_areas(gaps: LayerGaps, pieces: Pieces) -> tuple[Float[np.ndarray, "2 e"
             ends.append(gaps.meet(labels, pieces.place[:, k], height, away)[0].place)
         curve = edge_sizes(gaps, pieces.quad[:, :2], ends[0], ends[1], height)
         total += weights[:, None] * curve.area
-        middle = curve.middle if weights[1] else middle
-    return total * (pieces.high - pieces.low), WallMiddles(middle, pieces.quad[:, :2])
+        points = curve.points if weights[1] else points
+    return total * (pieces.high - pieces.low), points
 
 
 def surface_edges(gaps: LayerGaps, junctions: Junctions) -> tuple[Int[np.ndarray, "e 2"], Float[np.ndarray, " e"]]:

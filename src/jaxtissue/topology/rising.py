@@ -19,6 +19,7 @@ FORCED = 4  # steps that are taken though they are not explained; then the cells
 ROUNDS = 24  # of flips within a step
 TIE = 1e-11  # of the tissue's size: labels as near are as near as each other
 NAMED = 8  # cells in a message
+ALIKE = 9  # digits of the heights of flips
 LATE = 1e-9  # of the height, by which a flip may be found before or after its step
 
 
@@ -170,7 +171,10 @@ class _Climb:
         valid = done & (height >= begin - LATE) & (height <= high + LATE)
         used: set[int] = set()
         flipped = False
-        for k in np.argsort(np.where(valid, height, np.inf)).tolist():
+        # sides share their four labels where one label lies on both sides of a junction: the shorter edge vanishes
+        far = self.gaps.look(now.place[other], 0 * now.drift[other], now.at[other])
+        length = np.linalg.norm(far.point - here.point, axis=1)
+        for k in np.lexsort((length, np.where(valid, height, np.inf).round(ALIKE))).tolist():
             t, u = int(row[k]), int(other[k])
             free = not used & {t, u}
             used |= {t, u}
