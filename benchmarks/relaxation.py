@@ -1,11 +1,13 @@
 """Minimizers and Metropolis: seconds until a tissue is within 1 % of the best energy known, on tubes, sphere and slab.
 
     python benchmarks/relaxation.py [--cells 500] [--seeds 3] [--sweeps 1000] [--sweeps-on-domains 100] [--steps 40]
+    python benchmarks/relaxation.py --first 3 --seeds 5
     python benchmarks/relaxation.py --again
 
-Writes benchmarks/results/relaxation.json and docs/relaxation.png; with --again only the table and the picture, of the
-results that are there. From each random start all methods run one after the other. Compiling is apart: each method runs
-a little once before it is timed. Results are written after each start. Pin it to one core: `taskset -c 0`.
+Writes benchmarks/results/relaxation.json and docs/relaxation.png; with --first the results that are there are kept and
+go on with that start, with --again only the table and the picture of them are made. From each random start all
+methods run one after the other. Compiling is apart: each method runs a little once before it is timed. Results are
+written after each start. Pin it to one core: `taskset -c 0`.
 """
 
 import json
@@ -78,12 +80,12 @@ def rows_of(name: str, domain: Any, seed: int, options: Any) -> list[dict[str, A
     model, rows = jt.tube_model(domain, options.cells), []
     sweeps = options.sweeps if isinstance(domain, jt.Tube) else options.sweeps_on_domains
     for temperature in TEMPERATURES:
-        if seed == 0:
+        if seed == options.first:
             metropolis(place, domain, temperature, 20)
         curve = metropolis(place, domain, temperature, sweeps)
         rows.append({"method": f"{METROPOLIS}, T = {temperature:g}", "curve": curve, "sweeps": sweeps})
     for methods in METHODS:
-        if seed == 0:
+        if seed == options.first:
             relaxed(place, model, dict.fromkeys(methods, 2))
         curve, evaluations, message = relaxed(place, model, methods | {list(methods)[-1]: options.steps})
         row = {"method": " + ".join(methods), "curve": curve, "evaluations": evaluations, "message": message}
@@ -136,21 +138,27 @@ def table(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def main() -> None:
     """Run all methods on all tissues, write the table, and draw it."""
     parser = common.options((__doc__ or "").split("\n")[0], "relaxation")
-    for name, value in {"cells": 500, "seeds": 3, "sweeps": 1000, "sweeps-on-domains": 100, "steps": 40}.items():
+    for name, value in {
+        "cells": 500,
+        "seeds": 3,
+        "sweeps": 1000,
+        "sweeps-on-domains": 100,
+        "steps": 40,
+        "first": 0,
+    }.items():
         parser.add_argument(f"--{name}", type=int, default=value)
     parser.add_argument("--picture", type=Path, default=common.HERE.parent / "docs" / "relaxation.png")
     parser.add_argument("--again", action="store_true", help="tabulate and draw the results that are there")
     options = parser.parse_args()
     rows: list[dict[str, Any]] = []
+    if options.again or options.first:
+        rows = json.loads(options.out.read_text())["rows"]
     if options.again:
-        for row in json.loads(options.out.read_text())["rows"]:  # of one start on tubes, as they were first
-            inner = row.get("apical_radius")
-            rows.append({"tissue": f"tube, R_a = {inner:g}", "seed": 0} | row if inner else row)
         table(rows)
         draw(rows, options.picture)
         return
     sizes = {name: getattr(options, name) for name in ("cells", "sweeps", "sweeps_on_domains", "steps")}
-    for seed in range(options.seeds):
+    for seed in range(options.first, options.first + options.seeds):
         for name, domain in tissues(options.cells).items():
             rows += rows_of(name, domain, seed, options)
         load = {"load_average": os.getloadavg(), "cores": len(os.sched_getaffinity(0)), "seeds": seed + 1}

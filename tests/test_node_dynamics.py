@@ -10,14 +10,15 @@ from scipy.spatial import KDTree
 import jaxtissue as jt
 from jaxtissue.cli.commands import main
 from jaxtissue.compilation.batching import Batch
-from jaxtissue.dynamics.domain_lists import turning_cells
 from jaxtissue.dynamics.domain_runs import domain_run
 from jaxtissue.dynamics.independent_sets import independent_rounds
 from jaxtissue.energy import in_precision
 from jaxtissue.geometry.domain_files import save_domain
 from jaxtissue.geometry.domain_positions import as_domain_positions
+from jaxtissue.neighbors.section_lists import crowd_of
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import read_backbones
+from jaxtissue.sections.crowd import turning_cells
 
 pytestmark = pytest.mark.usefixtures("coarse_pictures")
 CELLS = 40
@@ -76,13 +77,14 @@ def test_upright_backbones_by_their_ends_have_the_energy_of_straight_ones() -> N
     run = domain_run(in_precision(jt.tube_model(SLAB, CELLS), np.dtype(float)), "draft", 5, np.ones(1))
     straight, ends = (run.survey(some, Batch()) for some in (place, np.stack([place, place], axis=1)))
     assert energy_of(run, ends) == pytest.approx(energy_of(run, straight), rel=1e-10)
-    assert not len(turning_cells(ends, SLAB))
+    assert not len(turning_cells(crowd_of(SLAB, ends.positions), *ends.walls()))
     distance, number = map(np.asarray, KDTree(place).query(place, 2))
     pair = number[distance[:, 1].argmin()].tolist()
     crossed = np.stack([place, place], axis=1)
     crossed[pair, 1] = place[pair[::-1]] + 0.01
     with pytest.warns(UserWarning, match=r"backbones of \d+ cells nearly cross"):
-        assert set(pair) <= set(turning_cells(run.survey(crossed, Batch()), SLAB).tolist())
+        walls = run.survey(crossed, Batch()).walls()
+        assert set(pair) <= set(turning_cells(crowd_of(SLAB, crossed), *walls).tolist())
 
 
 @pytest.mark.filterwarnings("ignore:the volume of .* of 40 cells may be wrong")  # "draft" of tilted cells

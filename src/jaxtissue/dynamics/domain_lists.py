@@ -12,7 +12,6 @@ from jaxtissue.compilation.batching import Batch
 from jaxtissue.dynamics.domain_sweeps import survey_cells
 from jaxtissue.dynamics.domain_updates import Scene, Surroundings, TissueState
 from jaxtissue.dynamics.surface_moves import RADIUS
-from jaxtissue.geometry.domains import Domain
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.neighbors.section_lists import crowd_of
 from jaxtissue.sections.cells import MANY_SLOTS
@@ -22,7 +21,6 @@ from jaxtissue.sections.polygons import Rule
 ROUNDS = 8  # of looking for missing neighbors
 NEAREST = 40  # at each of three points of a backbone: with 16, most spans meet a neighbor that is not listed
 FEW = 40  # candidates of a cell during a span, if more are not sides or near it
-TURN = 0.7  # the cosine of the angle by which a wall may turn on an eighth of the way from end to end
 MARGIN = 0.25  # mean lengths of sections by which the line of such a candidate may miss the cell
 
 
@@ -48,6 +46,11 @@ class Measured(NamedTuple):
         same = (self.rivals[:, None] == rivals[:, :, None]) & (rivals[:, :, None] >= 0)
         cells = self.state.cells
         return self.state._replace(cells=cells._replace(sides=(same & cells.sides[:, None]).any(axis=2)))
+
+    def walls(self) -> tuple[Int[np.ndarray, " w"], Int[np.ndarray, " w"]]:
+        """The cells and the candidates that are a side of them."""
+        cell, slot = np.nonzero((self.clear <= 0) & (self.rivals >= 0))
+        return cell, self.rivals[cell, slot]
 
     def contacts(self, within: float = 0.0) -> sparse.csr_array:
         """The pairs of cells that touch, or could if one moved by at most `within`: [n, n], symmetric."""
@@ -85,15 +88,6 @@ def survey(
             unit, unproved = float(np.sqrt(np.pi) * scene.longest / RADIUS), unproved + len(pairs)
             return Measured(positions, found.state, rivals, found.clear, found.is_cut, unproved, scene.rule, unit)
         lists = extended(lists, pairs)
-
-
-def turning_cells(measured: Measured, domain: Domain) -> Int[np.ndarray, " m"]:
-    """The cells with a wall that turns too quickly to be measured, since two backbones nearly cross there."""
-    cell, slot = np.nonzero((measured.clear <= 0) & (measured.rivals >= 0))
-    points = crowd_of(domain, measured.positions).points(9)[0]
-    apart = points[:, measured.rivals[cell, slot]] - points[:, cell]
-    apart /= np.maximum(np.linalg.norm(apart, axis=-1, keepdims=True), 1e-300)
-    return np.unique(cell[((apart[1:] * apart[:-1]).sum(axis=-1) < TURN).any(axis=0)])
 
 
 def with_slots(scene: Scene) -> Scene:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtissue.compilation.batching import Batch
-from jaxtissue.dynamics.domain_lists import Measured, Shortlists, survey, turning_cells, with_slots
+from jaxtissue.dynamics.domain_lists import Measured, Shortlists, survey, with_slots
 from jaxtissue.dynamics.domain_sweeps import play
 from jaxtissue.dynamics.domain_updates import Scene, Surroundings
 from jaxtissue.dynamics.independent_sets import padded_orders
@@ -21,7 +21,9 @@ from jaxtissue.dynamics.spans import Trail
 from jaxtissue.dynamics.surface_moves import longest_move
 from jaxtissue.energy import Model
 from jaxtissue.measurement.quadrature import Resolution, section_layers
+from jaxtissue.neighbors.section_lists import crowd_of
 from jaxtissue.sections.cells import MANY_SLOTS, RULE, Layers, plan_layers
+from jaxtissue.sections.crowd import tell_of_turning, turning_cells
 
 Plan = Sequence[Int[np.ndarray, "rounds width"]]
 DEFECT = 2e-3  # of the tissue, by which volumes of tilted and bent cells may miss it without a warning
@@ -72,10 +74,8 @@ class DomainRun:
         """What else tells that tilted and bent cells cannot be trusted: volumes add up to the tissue if they can."""
         doubts, whole = [], float(self.model.domain.volume)
         off = abs(float(np.asarray(measured.state.cells.sizes.volume, float).sum()) / whole - 1)
-        if len(cells := turning_cells(measured, self.model.domain)):  # type: ignore[arg-type]
-            some = ", ".join(map(str, cells[:8].tolist()))
-            told = f"the backbones of {len(cells)} cells nearly cross a neighbor's: cells {some}"
-            doubts.append(f"{told}; their sizes and energies may be wrong by much: tilt them less")
+        if len(cells := turning_cells(crowd_of(self.scene.domain, measured.positions), *measured.walls())):
+            doubts.append(tell_of_turning(cells))
         if off > DEFECT:
             doubts.append(f"volumes add up to {100 * off:.2g} % more or less than the tissue; energies may be wrong")
         return doubts

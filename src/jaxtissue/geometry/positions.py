@@ -24,7 +24,7 @@ TILT = 0.1  # radians by which rounding of two places may turn the wall between 
 NO_NUMBERS = str | bytes | bool | None  # though Python makes floats of some
 STRAIGHT = (
     "tilted and bent backbones can only be measured (measure, compare)"
-    " and, on domains other than Tube, annealed; give straight ones here"
+    " and, on domains other than Tube, annealed and relaxed; give straight ones here"
 )
 X64 = "use 64 bits (--x64, jax_enable_x64)"
 
@@ -212,10 +212,10 @@ def _warn_of_near(place: Float[np.ndarray, "n 2"], rounded: Float[np.ndarray, "n
         warnings.warn(f"{found}: the sizes of their cells may be wrong by 1 % or more; {X64}", stacklevel=4)
 
 
-def as_rows(positions: Any, names: tuple[str, ...], cells: int) -> Any:
+def as_rows(positions: Any, names: tuple[str, ...], cells: int, bent: bool = False) -> Any:
     """Positions, traced or not, as floats with a row for each of the `cells` that lists or a state were made for.
 
-    Floats that JAX holds keep their precision. Where backbones stand is not looked at.
+    Floats that JAX holds keep their precision. Where backbones stand is not looked at. With `bent` they may be nodes.
 
     >>> as_rows([[5, 0], [7, 1]], ("axial", "angle"), 3)
     Traceback (most recent call last):
@@ -226,7 +226,8 @@ def as_rows(positions: Any, names: tuple[str, ...], cells: int) -> Any:
         positions = as_numbers(positions, names).astype(precision)
     elif not jnp.issubdtype(positions.dtype, np.floating) or positions.dtype.itemsize < 4:
         positions = positions.astype(precision)
-    if positions.ndim != 2 or positions.shape[1] != len(names):
+    has_nodes = bent and positions.ndim == 3 and positions.shape[2] in (len(names), len(names) + 1)
+    if not has_nodes and (positions.ndim != 2 or positions.shape[1] != len(names)):
         raise ValueError(
             f"positions have shape {positions.shape}; give shape [n, {len(names)}] with rows ({', '.join(names)})"
         )

@@ -55,8 +55,8 @@ def turned(a: Vector) -> Vector:
 
 
 def components(table: Array) -> Vector:
-    """The components of vectors in the rows of a table, [n, d]."""
-    return tuple(table[:, k] for k in range(table.shape[1]))
+    """The components of vectors along the last axis of a table."""
+    return tuple(table[..., k] for k in range(table.shape[-1]))
 
 
 def rows(vector: Vector) -> Array:

@@ -18,26 +18,34 @@ from jaxtissue.measurement.quadrature import Resolution, section_layers
 from jaxtissue.minimization.placed_energy import PlacedEnergy
 from jaxtissue.minimization.tissue_energy import energy_on_sections
 from jaxtissue.neighbors.moving_lists import MovingLists
-from jaxtissue.neighbors.section_neighbors import SectionNeighbors
+from jaxtissue.neighbors.section_neighbors import LAYERS, SectionNeighbors
 from jaxtissue.sections.cells import RULE, Layers, cell_view, plan_layers
+from jaxtissue.sections.crowd import tell_of_turning
 from jaxtissue.sections.smooth_sections import section_moments
 
 NODES = 16  # in each direction, for the mean lengths of coordinates
 
 
-def reflected(domain: Domain, place: Float[Array, "n d"], units: Float[Array, " d"]) -> Float[Array, "n d"]:
+Placing = tuple[Array, Array, Array | None]  # lengths of coordinates, what turns take off, and the heights of nodes
+
+
+def reflected(domain: Domain, place: Float[Array, "n *k d"], units: Float[Array, " d"]) -> Float[Array, "n *k d"]:
     """The positions of places, reflected at free ends, with their turns and periods as they are."""
     m, base = components(place / units), domain.base
     return rows(base.reflect(m) if isinstance(base, Rectangle) else base.wrap(m))
 
 
-def _energy(place: Array, units: Array, shift: Array, model: Model, layers: Layers, lists: SectionNeighbors) -> Array:
-    return energy_on_sections(reflected(lists.domain, place, units) - shift, model, layers, lists)
+def _energy(place: Array, placing: Placing, model: Model, layers: Layers, lists: SectionNeighbors) -> Array:
+    units, shift, heights = placing
+    positions = reflected(lists.domain, place, units) - shift
+    if heights is not None:
+        positions = jnp.concatenate([positions, heights], axis=-1)
+    return energy_on_sections(positions, model, layers, lists)
 
 
-def _centroids(place: Array, units: Array, shift: Array, layers: Layers, lists: SectionNeighbors) -> Array:
+def _centroids(place: Array, placing: Placing, layers: Layers, lists: SectionNeighbors) -> Array:
     """The places of centroids: of all points of a cell the mean of the local coordinates round its backbone."""
-    domain, rule = lists.domain, RULE._replace(slots=lists.slots)
+    domain, rule, (units, shift, _) = lists.domain, RULE._replace(slots=lists.slots), placing
     placed = functools.partial(reflected, domain, units=units)
     heights, candidates = jnp.asarray(layers.heights, place.dtype), jnp.asarray(lists.candidates).T
     found = section_moments(domain, cell_view(domain, placed(place) - shift, candidates, heights), rule)
@@ -68,28 +76,42 @@ class DomainEnergy(PlacedEnergy):
     """The energy of a tissue on any domain, as a function of places in lengths.
 
     On a rectangle places are coordinates times their mean lengths. On a sphere they are vectors of any length, of which
-    only the direction counts: so nothing depends on how the sphere is turned.
+    only the direction counts: so nothing depends on how the sphere is turned. Nodes keep their heights, which places
+    are without.
     """
 
-    def __init__(self, model: Model, cells: int, resolution: Resolution | str) -> None:
+    def __init__(self, model: Model, start: Float[np.ndarray, "n *k d"], resolution: Resolution | str) -> None:
         assert isinstance(model.domain, Domain)
         self.domain = model.domain
         area = (float(self.domain.apical_area) + float(self.domain.basal_area)) / 2
-        super().__init__(model, mean_lengths(self.domain, area), (area / cells) ** 0.5)
+        super().__init__(model, mean_lengths(self.domain, area), (area / len(start)) ** 0.5)
+        self._bent = start.ndim == 3
+        self._heights = start[..., size:] if start.shape[-1] > (size := len(self.domain.columns)) else None
         self._layers = plan_layers(section_layers(resolution), check=False)
         self._lists: MovingLists | None = None
 
-    def positions(self, place: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
+    def placed(self, positions: Float[np.ndarray, "n *k d"]) -> Float[np.ndarray, "n *k d"]:
+        """The places of positions."""
+        return positions[..., : len(self.units)] * self.units
+
+    def positions(self, place: Float[np.ndarray, "n *k d"]) -> Float[np.ndarray, "n *k d"]:
         """Positions of the backbones, within the domain."""
-        return np.asarray(self.domain.reflect(jnp.asarray(place / self.units)))
+        found = np.asarray(self.domain.reflect(jnp.asarray(place / self.units)))
+        return found if self._heights is None else np.concatenate([found, self._heights], axis=-1)
 
     def renew(self, place: Float[np.ndarray, "n d"]) -> None:
         """Renew the lists unless they are complete here."""
         beyond = np.asarray(_placing()(self.domain, jnp.asarray(place), jnp.asarray(self.units)), float)
         if self._lists is None:
-            self._lists = MovingLists(self.domain, beyond)
+            layers = self._layers if self._bent else LAYERS
+            self._lists = MovingLists(self.domain, beyond, self._heights, layers)
         else:
             self._lists.renew(beyond)
+
+    def doubts(self) -> str:
+        """Why the energy by the lists renewed last may be wrong, if it may."""
+        cells = self._lists.turning_cells() if self._lists is not None and self._bent else np.zeros(0, int)
+        return tell_of_turning(cells) if len(cells) else ""
 
     def measured(self, place: Float[np.ndarray, "n d"]) -> tuple[Any, Float[np.ndarray, "n d"]]:
         """Energy and gradient, by places, by the lists renewed last."""
@@ -104,9 +126,10 @@ class DomainEnergy(PlacedEnergy):
         """What a compiled function finds at a place by the lists renewed last."""
         assert self._lists is not None
         lists, dtype = self._lists.neighbors, jnp.result_type(float)
-        arrays = [jnp.asarray(given, dtype) for given in (place, self.units, self._lists.shift)]
+        given = place, (self.units, self._lists.shift, self._heights)
+        point, placing = jax.tree.map(lambda table: jnp.asarray(table, dtype), given)
         program = (measure, lists.candidates.shape, lists.slots)
-        return self.timed(program, lambda: measure(*arrays, *what, self._layers, lists))
+        return self.timed(program, lambda: measure(point, placing, *what, self._layers, lists))
 
 
 def mean_lengths(domain: Domain, area: float) -> Float[np.ndarray, " d"]:

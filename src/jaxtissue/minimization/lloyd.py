@@ -15,7 +15,7 @@ def move_to_centroids(
     positions: Float[np.ndarray, "n d"], energy: PlacedEnergy, steps: int, tolerance: float
 ) -> Iterator[Stage]:
     """The tissue at each check of the lists; relaxed where moves are a part `tolerance` of the first, in the mean."""
-    here, first, moved = energy.renewed(positions * energy.units), 0.0, np.inf
+    here, first, moved = energy.renewed(energy.placed(positions)), 0.0, np.inf
     for step in range(steps + 1):
         is_relaxed = moved <= tolerance * first
         yield Stage(energy.record(step, here), energy.positions(here.place), RELAXED if is_relaxed else "")

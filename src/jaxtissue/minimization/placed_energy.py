@@ -66,6 +66,10 @@ class PlacedEnergy:
         self._known: set[Hashable] = set()
         self._begin = time.perf_counter()
 
+    def placed(self, positions: Float[np.ndarray, "n *k d"]) -> Float[np.ndarray, "n *k d"]:
+        """The places of positions."""
+        return positions * self.units
+
     def positions(self, place: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
         """Positions of the backbones, within the domain."""
         raise NotImplementedError
@@ -81,6 +85,10 @@ class PlacedEnergy:
     def centroids(self, place: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
         """The places of the centroids of the cells by the lists renewed last."""
         raise NotImplementedError
+
+    def doubts(self) -> str:
+        """Why the energy by the lists renewed last may be wrong, if it may."""
+        return ""
 
     def renewed(self, place: Float[np.ndarray, "n d"]) -> Point:
         """Energy and gradient by lists that are complete here."""

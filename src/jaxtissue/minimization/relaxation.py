@@ -1,5 +1,6 @@
 """Relaxation: minimization of the energy of a tissue by its gradient, with neighbor lists updated on the way."""
 
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +13,7 @@ from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.energy import Model, check_energy, check_numbers, in_precision
 from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domain_positions import as_positions_on
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.quadrature import Resolution
 from jaxtissue.minimization.domain_energy import DomainEnergy
@@ -34,7 +36,7 @@ class RelaxResult:
     """Result of a relaxation.
 
     Attributes:
-        positions: Relaxed positions of the backbones, shape [n, d]; in a `Tube` axial position and angle in radians.
+        positions: Relaxed positions of the backbones, of the shape given; in a `Tube` axial position and angle.
         energy: Energy at `positions`, at the resolution of the relaxation.
         history: One `RelaxRecord` for the initial state and one after each step, with fields `step`, `evaluations`,
             `energy`, `gradient` (norm of the gradient) and `seconds`.
@@ -79,6 +81,9 @@ def relax(
     Args:
         positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
             columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+            On domains other than `Tube` backbones may be tilted or bent: [n, k, 2] or [n, k, 3] for k nodes, as in
+            `measure_tissue`. Their nodes move and keep their heights; a warning names cells at the end whose backbones
+            nearly cross, as their energies may be wrong.
         model: Energy model of a `Tube` or any other domain; see `tube_model`.
         method: "lbfgs" (the default), a quasi-Newton method with a line search for nonsmooth functions (Lewis and
             Overton 2013); "fire", gradient descent with inertia (Bitzek et al. 2006); or "lloyd", which moves every
@@ -118,7 +123,9 @@ def relax(
         raise ValueError(f"unknown method {method!r}; use one of {', '.join(METHODS)}")
     if steps < 0 or not tolerance > 0:
         raise ValueError(f"steps={steps}, tolerance={tolerance}: give at least 0 steps and a tolerance above 0")
-    start = np.asarray(as_positions_on(positions, model.domain))
+    start = np.asarray(as_positions_on(positions, model.domain, bent=isinstance(model.domain, Domain)))
+    if method == "lloyd" and start.ndim == 3:
+        raise ValueError("'lloyd' moves straight backbones only; relax tilted and bent ones by 'lbfgs' or 'fire'")
     if resolution == TRACED and method == "lloyd":
         raise ValueError("'lloyd' moves to centroids, which are not traced; give a preset as the resolution")
     check_numbers(model, len(start))
@@ -138,6 +145,8 @@ def relax(
             ended = ended or ("stopped by the callback" if asked else "")
             if ended:
                 break
+    if told := energy.doubts():
+        warnings.warn(told, stacklevel=3)
     return RelaxResult(
         place, history[-1].energy, history, ended == RELAXED, ended or f"reached the maximum of {steps} steps"
     )
@@ -147,7 +156,9 @@ def _placed(model: Model, start: Float[np.ndarray, "n d"], resolution: Resolutio
     if resolution == TRACED:
         return TracedEnergy(model, len(start))
     model = in_precision(model, start.dtype)
-    return (TubeEnergy if isinstance(model.domain, Tube) else DomainEnergy)(model, len(start), resolution)
+    if isinstance(model.domain, Tube):
+        return TubeEnergy(model, len(start), resolution)
+    return DomainEnergy(model, start, resolution)
 
 
 def _descend(
@@ -155,7 +166,7 @@ def _descend(
 ) -> Iterator[Stage]:
     """The tissue at each check of the lists, down the gradient."""
     longest = REACH * energy.width
-    here = energy.renewed(positions * energy.units)
+    here = energy.renewed(energy.placed(positions))
     if not np.isfinite(here.energy):
         cure = "separate backbones that coincide, or anneal a few sweeps first"
         raise ValueError(f"the energy or its gradient is not finite at the start; {cure}")

@@ -23,7 +23,7 @@ from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, p
 from jaxtissue.measurement.smooth_sizes import find_windows, smooth_sizes
 from jaxtissue.minimization.traced_energy import TRACED, traced_energy
 from jaxtissue.neighbors.section_neighbors import SectionNeighbors
-from jaxtissue.sections.cells import RULE, Layers, cell_sections, cell_sizes, plan_layers
+from jaxtissue.sections.cells import RULE, Layers, cell_sizes, plan_layers
 from jaxtissue.sections.half_planes import take
 from jaxtissue.sections.smooth_sections import smooth_sections
 
@@ -45,7 +45,8 @@ def tissue_energy(
 
     Args:
         positions: Axial position and angle in radians of each backbone, floats, shape [n, 2]; on other domains
-            coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+            coordinates of shape [n, 2] or unit vectors of shape [n, 3], or those of the nodes of tilted and bent
+            backbones, as in `measure_tissue`. The heights of nodes have derivatives of 0.
         model: Energy model; see `tube_model`.
         neighbors: Neighbor list valid for `positions`, from `NeighborList.allocate`.
         resolution: "draft", "standard" (the default) or "fine", or a `Resolution`; in a `Tube` also "traced". Then the
@@ -80,7 +81,8 @@ def tissue_energy(
         raise TypeError(
             f"neighbors of type {given} do not match a {kind}; use NeighborList.allocate(positions, domain)"
         )
-    place = jnp.asarray(as_rows(positions, column_names(model.domain), len(neighbors)))
+    bent = isinstance(model.domain, Domain)
+    place = jnp.asarray(as_rows(positions, column_names(model.domain), len(neighbors), bent))
     check_numbers(model, len(place), HALF)
     if resolution == TRACED:
         return traced_energy(place, model)
@@ -104,17 +106,14 @@ def energy_on_lines(
 
 
 def energy_on_sections(
-    positions: Float[Array, "n d"], model: Model, layers: Layers, neighbors: SectionNeighbors
+    positions: Float[Array, "n *k d"], model: Model, layers: Layers, neighbors: SectionNeighbors
 ) -> Float[Array, ""]:
     """The same on given layers of any domain."""
     domain, lists = model.domain, jnp.asarray(neighbors.candidates).T
     assert isinstance(domain, Domain)
     heights = jnp.asarray(layers.heights, positions.dtype)
     rule = RULE._replace(slots=neighbors.slots)
-    if positions.ndim == 2:
-        sections = smooth_sections(positions, domain, lists, heights, rule)
-    else:
-        sections = cell_sections(domain, positions, lists, heights, rule)
+    sections = smooth_sections(positions, domain, lists, heights, rule)
     if model.adhesion is not None:
         worth = model.adhesion.between(jnp.arange(lists.shape[1]), lists % lists.shape[1])[:, None]
         sections = sections._replace(wall=sections.wall * take(worth, jnp.minimum(sections.line, len(lists) - 1)))

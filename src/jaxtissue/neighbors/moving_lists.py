@@ -7,9 +7,9 @@ from jaxtyping import Float, Int
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.neighbors.section_lists import Measured, crowd_of, find_sections, look_through
-from jaxtissue.neighbors.section_neighbors import LAYERS, SectionNeighbors
-from jaxtissue.sections.cells import RULE
-from jaxtissue.sections.crowd import ROUND_UP, extended
+from jaxtissue.neighbors.section_neighbors import SectionNeighbors
+from jaxtissue.sections.cells import RULE, Layers
+from jaxtissue.sections.crowd import ROUND_UP, distances, extended, turning_cells
 
 FEW = 24  # candidates on each list, where no cell has more neighbors
 NEAR = 0.05  # of the mean distance from backbones to corners, by which a candidate may miss a cell and is kept
@@ -21,16 +21,21 @@ class MovingLists:
     """The candidates of each cell that are nearest to bounding it.
 
     Positions may go on beyond periods. `turns` whole ones of each backbone are taken off where cells are measured: then
-    a backbone that crosses a period changes no list, until it has gone so far that copies are numbered anew.
+    a backbone that crosses a period changes no list, until it has gone so far that copies are numbered anew. Bent
+    backbones are where their first nodes are.
 
     Args:
         domain: The domain that the backbones stand in.
-        positions: The positions at first, [n, d].
+        positions: The positions at first, [n, d] or [n, k, d].
+        heights: The heights of nodes, [n, k, 1], if they are not equally spaced.
+        layers: The layers on which lists are proved.
     """
 
-    def __init__(self, domain: Domain, positions: Float[np.ndarray, "n d"]) -> None:
+    def __init__(
+        self, domain: Domain, positions: Float[np.ndarray, "n *k d"], heights: np.ndarray | None, layers: Layers
+    ) -> None:
         base = domain.base
-        self.domain, self._rule = domain, RULE
+        self.domain, self._rule, self._heights, self._layers = domain, RULE, heights, layers
         self._extent = np.array([float(size) for size in base.extent] if isinstance(base, Rectangle) else [1.0] * 3)
         directions = base.directions if isinstance(base, Rectangle) else ("free",) * 3
         self._turns_off, self._has_copies = (
@@ -38,7 +43,7 @@ class MovingLists:
         )
         self.turns = np.zeros_like(positions)
         self.turns = self._turns_of(positions)
-        found = find_sections(domain, self.within(positions), LAYERS)
+        found = find_sections(domain, self.within(positions), layers)
         self._wide, self._width = found.lists.shape[0], FEW
         self._shorten(found, found.lists)
         self.renew(positions)
@@ -53,31 +58,44 @@ class MovingLists:
         """What is taken off of positions."""
         return self.turns * self._extent
 
-    def within(self, positions: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
-        """The positions less the turns, as lists are for."""
-        return (positions - self.shift).astype(jnp.result_type(float))
+    def within(self, positions: Float[np.ndarray, "n *k d"]) -> Float[np.ndarray, "n *k d"]:
+        """The positions less the turns, as lists are for, with the heights of nodes."""
+        place = positions - self.shift
+        whole = place if self._heights is None else np.concatenate([place, self._heights], axis=-1)
+        return whole.astype(jnp.result_type(float))
 
     def renew(self, positions: Float[np.ndarray, "n d"]) -> None:
         """Look for neighbors that the lists lack, until none does."""
         off = np.abs(positions / self._extent - self.turns - 0.5) > 0.5 + DRIFT
+        off = off if off.ndim == 2 else off[:, 0]
         if (off & self._turns_off).any():
             self._number_copies(self._turns_of(positions))
         for _ in range(ROUNDS):
             lists = np.pad(self._lists, ((0, max(0, self._wide - len(self._lists))), (0, 0)), constant_values=-1)
-            found, pairs = look_through(self.domain, self.within(positions), lists, LAYERS, self._rule)
-            self._rule = found.rule
+            found, pairs = look_through(self.domain, self.within(positions), lists, self._layers, self._rule)
+            self._rule, self._found = found.rule, found
             if not len(pairs):
                 break
             self._shorten(found, extended(lists, pairs))
 
+    def turning_cells(self) -> Int[np.ndarray, " m"]:
+        """The cells that cannot be measured, as found when lists were looked at last."""
+        found = self._found
+        slot, layer, cell = np.nonzero(np.asarray(found.sections.is_edge))
+        line = np.asarray(found.sections.line)[slot, layer, cell]
+        walls = line < len(found.lists)
+        cell, line = cell[walls], line[walls]
+        return turning_cells(crowd_of(self.domain, found.positions), cell, found.lists[line, cell])
+
     def _turns_of(self, positions: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
-        return np.where(self._turns_off, np.floor(positions / self._extent), 0.0)
+        first = positions[:, :1] if positions.ndim == 3 else positions
+        return np.where(self._turns_off, np.floor(first / self._extent), 0.0) + 0 * positions
 
     def _number_copies(self, turns: Float[np.ndarray, "n d"]) -> None:
         """Take off other turns, and number each candidate's copy so that it is where it was."""
         n, images = len(turns), self.domain.base.images()
         copy, owner = np.divmod(np.maximum(self._lists, 0), n)
-        moved = np.where(self._has_copies, turns - self.turns, 0)
+        moved = np.where(self._has_copies, turns - self.turns, 0).reshape(n, -1, turns.shape[-1])[:, 0]
         shift = images[copy] + moved[owner] - moved
         same = (shift[..., None, :] == images).all(axis=-1)
         number = np.where((self._lists >= 0) & same.any(axis=-1), same.argmax(axis=-1) * n + owner, -1)
@@ -96,16 +114,13 @@ class MovingLists:
 
 def clearances(domain: Domain, found: Measured, lists: Int[np.ndarray, "q n"]) -> tuple[np.ndarray, float]:
     """How much farther each candidate is from all corners of a cell than its backbone, [q, n]; and that in the mean."""
-    segments = crowd_of(domain, found.positions).segments
-    start, along = (np.stack([np.asarray(part) for part in vector], axis=-1) for vector in segments)
+    start, along = crowd_of(domain, found.positions).pieces()
     corners = np.stack([np.asarray(part) for part in found.sections.corner], axis=-1)
     corners = corners.reshape(-1, *corners.shape[2:])  # [corners, n, 3]
     is_corner = np.asarray(found.sections.is_edge).reshape(corners.shape[:2])
 
     def distance(number: Int[np.ndarray, "n"]) -> Float[np.ndarray, "corners n"]:
-        way, up = corners - start[number], along[number]
-        share = np.clip((way * up).sum(axis=-1) / (up * up).sum(axis=-1), 0, 1)
-        return np.linalg.norm(way - share[..., None] * up, axis=-1)
+        return distances(start[:, number], along[:, number], corners)
 
     own = distance(np.arange(lists.shape[1]))
     rows = (np.where(is_corner, distance(np.maximum(row, 0)) - own, np.inf).min(axis=0) for row in lists)

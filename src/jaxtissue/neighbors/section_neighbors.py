@@ -16,6 +16,7 @@ from jaxtissue.neighbors.section_lists import find_sections, look_through
 from jaxtissue.sections.cells import RULE, plan_layers
 
 LAYERS = plan_layers(2, check=False)  # on which lists are proved; the surfaces are among them
+MANY_LAYERS = plan_layers(8, check=False)  # bent backbones that are near each other on some layer need not be on others
 
 
 class SectionNeighbors(eqx.Module):
@@ -50,7 +51,8 @@ class SectionNeighbors(eqx.Module):
         """Build the complete neighbor list of a tissue. Runs on the host; not jittable.
 
         Args:
-            positions: Coordinates of the backbones, array-like of shape [n, 2], or unit vectors of shape [n, 3].
+            positions: Coordinates of the backbones, array-like of shape [n, 2], or unit vectors of shape [n, 3]; for
+                tilted and bent backbones those of their nodes, as in `measure_tissue`.
             domain: The domain.
 
         Returns:
@@ -59,7 +61,8 @@ class SectionNeighbors(eqx.Module):
         Raises:
             ValueError: If a position is not finite, lies outside the domain, or coincides with another.
         """
-        found = find_sections(domain, as_domain_positions(positions, domain), LAYERS)
+        place = as_domain_positions(positions, domain, bent=True)
+        found = find_sections(domain, place, LAYERS if place.ndim == 2 else MANY_LAYERS)
         if found.unproved:
             told = f"neighbors may be missing at {found.unproved} corners of cells, so energies may be wrong"
             warnings.warn(f"{told}; use more cells", stacklevel=5)
@@ -83,8 +86,9 @@ class SectionNeighbors(eqx.Module):
             raise TypeError(
                 f"neighbor lists on a {type(self.domain).__name__} are checked on the host; call covers outside of jit"
             )
-        place, rule = np.asarray(as_rows(positions, self.domain.columns, len(self))), RULE._replace(slots=self.slots)
-        found, pairs = look_through(self.domain, place, np.asarray(self.candidates).T, LAYERS, rule)
+        place = np.asarray(as_rows(positions, self.domain.columns, len(self), bent=True))
+        layers, rule = LAYERS if place.ndim == 2 else MANY_LAYERS, RULE._replace(slots=self.slots)
+        found, pairs = look_through(self.domain, place, np.asarray(self.candidates).T, layers, rule)
         return not len(pairs) and found.rule == rule
 
     @usual_modes()
@@ -100,7 +104,7 @@ class SectionNeighbors(eqx.Module):
         Raises:
             ValueError: If a position is not finite, lies outside the domain, or coincides with another.
         """
-        place = as_domain_positions(positions, self.domain)
+        place = as_domain_positions(positions, self.domain, bent=True)
         return self if len(place) == len(self) and self.covers(place) else SectionNeighbors.allocate(place, self.domain)
 
     def __len__(self) -> int:

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domain_positions import column_names
+from jaxtissue.geometry.domains import Domain
 from jaxtissue.minimization.relaxation import RelaxRecord, RelaxResult, relax
 from jaxtissue.runs import storage
 from jaxtissue.runs.backbone_files import BackboneTable
@@ -62,7 +63,7 @@ def run_relaxation(folder: Path, settings: Settings, descent: Descent, force: bo
     that holds files (unless forced) or that another run is at.
     """
     check_folder(folder, force)
-    initial, names = initial_backbones(settings)
+    initial, names = initial_backbones(settings, bent=isinstance(settings.place, Domain))
     settings = replace(settings, cells=len(initial), x64=jnp.result_type(float) == jnp.float64)
     model = settings.model
     relax(initial, model, descent.method, 0, descent.tolerance, settings.resolution)  # what it refuses, before files

@@ -20,6 +20,7 @@ ROUNDING = 1e-4  # of its distance, by which a corner may be nearer to a candida
 CHUNK = 8192  # points that are looked at together
 WIDE = 48  # candidates that complete lists have room for at least, where there are as many
 STEP = 16  # these are padded to multiples of so many
+TURN = 0.7  # the cosine of the angle by which a wall may turn on an eighth of the way from end to end
 ROUND_UP = 8  # lists have multiples of so many candidates, so that fewer programs are compiled
 
 
@@ -99,8 +100,8 @@ def missing(
     for count in (min(count, tree.n) for count in FOUND):
         near, found = (part.reshape(len(left), count) for part in tree.query(points[left], count))
         owner, cell = found // SAMPLES, cells[left]
-        own = (1 - ROUNDING) * _distance(start[:, cell], along[:, cell], points[left])
-        others = _distance(start[:, owner], along[:, owner], points[left, None])
+        own = (1 - ROUNDING) * distances(start[:, cell], along[:, cell], points[left])
+        others = distances(start[:, owner], along[:, owner], points[left, None])
         row, column = np.nonzero((others < own[:, None]) & (owner != cell[:, None]))
         listed = (lists.T[cell[row]] == owner[row, column, None]).any(axis=-1)
         lacks = np.zeros(owner.shape, bool)
@@ -123,11 +124,26 @@ def overlaps(
     for first in range(0, len(points), CHUNK):
         point, cell = points[first : first + CHUNK], cells[first : first + CHUNK]
         listed = lists.T[cell]
-        others = np.where(listed >= 0, _distance(start[:, listed], along[:, listed], point[:, None]), np.inf).min(
+        others = np.where(listed >= 0, distances(start[:, listed], along[:, listed], point[:, None]), np.inf).min(
             axis=1
         )
-        nearer[first : first + CHUNK] = _distance(start[:, cell], along[:, cell], point) - others
+        nearer[first : first + CHUNK] = distances(start[:, cell], along[:, cell], point) - others
     return np.maximum(nearer, 0)
+
+
+def turning_cells(crowd: Crowd, cell: Int[np.ndarray, " w"], rival: Int[np.ndarray, " w"]) -> Int[np.ndarray, " m"]:
+    """The cells with a wall that turns too quickly to be measured, since two backbones nearly cross there."""
+    points = crowd.points(9)[0]
+    apart = points[:, rival] - points[:, cell]
+    apart /= np.maximum(np.linalg.norm(apart, axis=-1, keepdims=True), 1e-300)
+    return np.unique(cell[((apart[1:] * apart[:-1]).sum(axis=-1) < TURN).any(axis=0)])
+
+
+def tell_of_turning(cells: Int[np.ndarray, " m"]) -> str:
+    """What is said of them."""
+    some = ", ".join(map(str, cells[:8].tolist()))
+    told = f"the backbones of {len(cells)} cells nearly cross a neighbor's: cells {some}"
+    return f"{told}; their sizes and energies may be wrong by much: tilt them less"
 
 
 def extended(lists: Int[np.ndarray, "q n"], pairs: Int[np.ndarray, "m 2"]) -> Int[np.ndarray, "q n"]:
@@ -147,7 +163,7 @@ def padded(lists: Int[np.ndarray, "q n"], domain: Domain) -> Int[np.ndarray, "q 
     return np.pad(lists, ((0, width - len(lists)), (0, 0)), constant_values=-1)
 
 
-def _distance(starts: np.ndarray, ways: np.ndarray, point: np.ndarray) -> np.ndarray:
+def distances(starts: np.ndarray, ways: np.ndarray, point: np.ndarray) -> np.ndarray:
     """From points to the nearest of some pieces, [pieces, ...]."""
     found = np.inf
     for start, along in zip(starts, ways, strict=True):

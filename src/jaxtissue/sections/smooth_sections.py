@@ -9,7 +9,7 @@ from jax.custom_derivatives import SymbolicZero, zero_from_primal
 from jaxtyping import Array, Float, Int
 
 from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.vectors import Vector, add, area, components, dot, scale, subtract, turned
+from jaxtissue.geometry.vectors import Vector, add, area, dot, scale, subtract, turned
 from jaxtissue.sections.cells import cell_view
 from jaxtissue.sections.polygons import Rule, Sections, find_polygons, measure_polygons, measure_sections
 from jaxtissue.sections.rims import joined
@@ -27,7 +27,7 @@ class Moments(NamedTuple):
 
 @partial(jax.custom_jvp, nondiff_argnums=(4,))
 def smooth_sections(
-    positions: Float[Array, "n d"],
+    positions: Float[Array, "n *k d"],
     domain: Domain,
     lists: Int[Array, "q n"],
     heights: Float[Array, " layers"],
@@ -49,8 +49,8 @@ def _with_speeds(rule: Rule, primals: tuple, tangents: tuple) -> tuple[Sections,
     sizes = (sections.wall, sections.length, sections.volume, sections.area)
     changes = [jnp.zeros_like(size) for size in sizes]
     if not isinstance(tangents[0], SymbolicZero):
-        found = wall_speeds(domain, view, polygon, lists, components(positions))
-        way = tangents[0]
+        found = wall_speeds(domain, view, polygon, lists, positions)
+        way = tangents[0][..., : len(domain.columns)].reshape(len(positions), -1)  # the heights of nodes stay
         ways = [way.T[:, None, None], *(jnp.moveaxis(way[number], -1, 0) for number in found[4:])]
 
         def change(speeds: tuple[Slopes, ...]) -> Array:

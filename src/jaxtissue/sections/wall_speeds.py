@@ -9,15 +9,16 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
 from jaxtissue.compilation.fusion import fusion_barrier, take_rows
 from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.vectors import Vector, add, dot, scale, subtract, turned
+from jaxtissue.geometry.nodes import Nodes, as_nodes, node_points
+from jaxtissue.geometry.vectors import Vector, add, components, dot, scale, subtract, turned
 from jaxtissue.sections.half_planes import take
 from jaxtissue.sections.polygons import STEEP, Edges, Polygon, edges_of, integrands, to_wall
 from jaxtissue.sections.rims import joined, mean, parts
-from jaxtissue.sections.views import LEAST_SLOPE, Backbones, Segments, View, gap
+from jaxtissue.sections.views import LEAST_SLOPE, Backbones, Polylines, Segments, View, gap
 
 BLUNT = 0.03  # the sine of the angle of two walls below which their corner slides less than it should
 
@@ -47,24 +48,41 @@ class Speeds(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """How the ends of backbones move with one coordinate."""
+    """How the ends of backbones move with one coordinate, [n], or those of the segments of bent ones, [segments, n]."""
 
-    apical: Vector
-    basal: Vector
+    start: Vector
+    end: Vector
 
-    def of(self, number: Int[Array, "..."]) -> "Motion":
-        """Those of some backbones."""
-        return jax.tree.map(lambda part: take_rows(part, number), self)
+    def on_layers(self) -> "Motion":
+        """The tables as those of backbones in a view."""
+        return jax.tree.map(lambda part: part[None, ..., None, :], self)
+
+    def of(self, number: Int[Array, "slots *T"]) -> "Motion":
+        """Those of some backbones, [slots, *T] or [slots, segments, *T]."""
+
+        def some(part: Array) -> Array:
+            return (
+                take_rows(part, number) if part.ndim == 1 else jax.vmap(lambda row: take_rows(row, number), 0, 1)(part)
+            )
+
+        return jax.tree.map(some, self)
+
+    def as_change(self) -> Backbones:
+        """The changes of backbones."""
+        kind = Segments if self.start[0].ndim == 3 else Polylines
+        return kind(self.start, subtract(self.end, self.start))
 
 
-def wall_speeds(domain: Domain, view: View, polygon: Polygon, lists: Int[Array, "q n"], place: Vector) -> Speeds:
-    """The speeds of sections whose polygons are known, on the lists of the cells, with all backbones at `place`."""
+def wall_speeds(
+    domain: Domain, view: View, polygon: Polygon, lists: Int[Array, "q n"], positions: Float[Array, "n *k d"]
+) -> Speeds:
+    """The speeds of sections whose polygons are known, on the lists of the cells, with all backbones at `positions`."""
     anchor, edge, candidates = view.anchor, polygon.edge, view.is_there.shape[0]
-    owners = (jnp.maximum(lists, 0) % place[0].shape[0])[:, None]
+    owners = (jnp.maximum(lists, 0) % len(positions))[:, None]
     lines = (polygon.packed.line, polygon.before, polygon.after)
     across, before, after = (take(owners, jnp.minimum(line, candidates - 1)) for line in lines)
-    motions = _motions(domain, place)
-    own = [jax.tree.map(lambda part: part[None, None], motion) for motion in motions]
+    motions = _motions(domain, positions)
+    own = [motion.on_layers() for motion in motions]
     theirs, others = (
         [fusion_barrier(lambda motion=motion, number=number: motion.of(number), anchor) for motion in motions]
         for number in (across, jnp.concatenate([before, after]))
@@ -104,22 +122,41 @@ def wall_speeds(domain: Domain, view: View, polygon: Polygon, lists: Int[Array, 
     return Speeds(wall, length, swept(sizes[2][0]), swept(sizes[2][1]), across, before, after)
 
 
-def _motions(domain: Domain, place: Vector) -> list[Motion]:
-    """How the ends of all backbones move with each coordinate."""
-    found = []
-    for k in range(len(place)):
-        way = tuple(jnp.ones_like(part) if k == j else jnp.zeros_like(part) for j, part in enumerate(place))
-        found.append(Motion(*jax.jvp(domain.surfaces, (place,), (way,))[1]))
-    return found
+def _motions(domain: Domain, positions: Float[Array, "n *k d"]) -> list[Motion]:
+    """How backbones move with each coordinate, of bent ones node by node."""
+    if positions.ndim == 2:
+        place, found = components(positions), []
+        for way in _ways(place, jnp.ones_like(place[0])):
+            found.append(Motion(*jax.jvp(domain.surfaces, (place,), (way,))[1]))
+        return found
+    nodes, found = as_nodes(positions, domain), []
+    for node in range(positions.shape[1]):
+        for way in _ways(nodes.place, jnp.zeros_like(nodes.height).at[:, node].set(1)):
+            moved = jax.jvp(lambda place: node_points(Nodes(place, nodes.height), domain), (nodes.place,), (way,))[1]
+            found.append(Motion(*(tuple(part[:, some].T for part in moved) for some in (slice(-1), slice(1, None)))))
+    is_segment = positions.shape[1] == 2  # tilted backbones are segments, as straight ones are
+    return jax.tree.map(lambda part: part[0], found) if is_segment else found
 
 
-def _closer(segments: Backbones, motion: Motion, point: Vector) -> Array:
+def _ways(place: Vector, size: Array) -> list[Vector]:
+    """Along each coordinate, so far."""
+    return [tuple(size * (axis == k) for axis in range(len(place))) for k in range(len(place))]
+
+
+def _closer(backbones: Backbones, motion: Motion, point: Vector) -> Array:
     """By how much the square of the distance to moving backbones falls."""
-    assert isinstance(segments, Segments), "bent backbones do not move"
-    way = subtract(point, segments.start)
-    share = jnp.clip(dot(way, segments.along) / dot(segments.along, segments.along), 0, 1)
-    offset = subtract(way, scale(share, segments.along))
-    return 2 * dot(offset, add(scale(1 - share, motion.apical), scale(share, motion.basal)))
+    bent = isinstance(backbones, Polylines)
+    if bent:
+        point = tuple(part[..., None, :, :] for part in point)
+    way = subtract(point, backbones.start)
+    share = jnp.clip(dot(way, backbones.along) / dot(backbones.along, backbones.along), 0, 1)
+    offset = subtract(way, scale(share, backbones.along))
+    closer = 2 * dot(offset, add(scale(1 - share, motion.start), scale(share, motion.end)))
+    if not bent:
+        return closer
+    square = dot(offset, offset)
+    is_nearest = square == square.min(axis=-3, keepdims=True)
+    return jnp.where(is_nearest, closer, 0).sum(axis=-3) / is_nearest.sum(axis=-3)
 
 
 class _Wall(NamedTuple):
@@ -147,8 +184,8 @@ def _advances(
     wall = _wall_at(domain, view, z, edge)
     share = wall.share / jnp.maximum(dot(wall.normal, edge.plane.normal), STEEP)
     return [
-        [sign * share * _closer(segments, motion, wall.point) for motion in by]
-        for sign, segments, by in ((1, view.own, own), (-1, edge.rivals, theirs))
+        [sign * share * _closer(backbones, motion, wall.point) for motion in by]
+        for sign, backbones, by in ((1, view.own, own), (-1, edge.rivals, theirs))
     ]
 
 
@@ -164,15 +201,15 @@ def _growths(
 
     One direction after the other, in a loop: so it is compiled once.
     """
-    own, theirs = ([Segments(m.apical, subtract(m.basal, m.apical)) for m in by] for by in motions)
+    own, theirs = ([motion.as_change() for motion in by] for by in motions)
     none = tuple(jax.tree.map(jnp.zeros_like, by[0]) for by in (own, theirs))
-    ways = [(segments, none[1]) for segments in own] + [(none[0], segments) for segments in theirs]
+    ways = [(change, none[1]) for change in own] + [(none[0], change) for change in theirs]
     stacked = jax.tree.map(lambda *tables: jnp.stack(tables), *ways)
 
-    def sizes(segments: Segments, rivals: Segments, z: Vector) -> tuple[Array, Array]:
-        return integrands(domain, view._replace(own=segments), z, edge._replace(rivals=rivals))[:2]
+    def sizes(backbones: Backbones, rivals: Backbones, z: Vector) -> tuple[Array, Array]:
+        return integrands(domain, view._replace(own=backbones), z, edge._replace(rivals=rivals))[:2]
 
-    def turn(_: None, way: tuple[tuple[Segments, Segments], Array]) -> tuple[None, Array]:
+    def turn(_: None, way: tuple[tuple[Backbones, Backbones], Array]) -> tuple[None, Array]:
         (mine, across), side = way
         tangents = (mine, joined(across, across, across), scale(side, edge.plane.normal))
 
