@@ -1,6 +1,6 @@
 """Sweeps on every domain: local energy differences against the change of the whole, and single against joint moves.
 
-    python benchmarks/domain_dynamics.py [--cells 60] [--out FILE]
+    python benchmarks/domain_dynamics.py [--cells 120] [--out FILE]
 
 In 64 bits, by `draft`: random tissues of straight backbones play three sweeps. The sum of the accepted local
 differences is compared with the change of the energy as measured anew, and the same moves are played one by one in the
@@ -49,7 +49,9 @@ def kept(domain: Any, cells: int) -> dict[str, float | None]:
     one_by_one = run.play(before, SWEEPS * [alone], 0, Batch())
     first, last = (float(np.sum(model.cell_energy(m.state.cells.sizes, model))) for m in (before, played.measured))
     info, apart = played.trail.info, one_by_one.trail.positions - played.trail.positions
+    whole = float(np.sum(np.asarray(before.state.cells.sizes.volume, float)))
     return {
+        "volumes_off": whole / float(domain.volume) - 1,
         "sum_of_differences_off": abs(first + float(info.energy_change.sum()) - last) / abs(first),
         "single_moves_off": None if info.collisions.any() else float(np.abs(apart).max()),
         "acceptance": float(info.accepted.mean() / cells),
@@ -60,7 +62,7 @@ def kept(domain: Any, cells: int) -> dict[str, float | None]:
 def main() -> None:
     """Play a few sweeps on every domain."""
     parser = common.options((__doc__ or "").split("\n")[0], "domain_dynamics")
-    parser.add_argument("--cells", type=int, default=60)
+    parser.add_argument("--cells", type=int, default=120)
     given, results = parser.parse_args(), {}
     jax.config.update("jax_enable_x64", True)
     for name, domain in DOMAINS.items():

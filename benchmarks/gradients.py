@@ -2,11 +2,11 @@
 
     python benchmarks/gradients.py
 
-For random directions of all backbones: the cosine of the derivatives by `tissue_energy` and by differences, of the
-volume term of the paper's energy and of the sum of all lateral areas. True sizes are those of the traced edges on
-reference tubes, and elsewhere those of sections on 20 layers, five passes and three steps of Newton's method. Times are
-the processor's, so that other work on the machine counts little; those of "traced" lack the tracing, since edges are
-kept. Writes benchmarks/results/gradients.json. Pin it to one core: `taskset -c 0`.
+For random directions of all backbones but those next to an end: the cosine of the derivatives by `tissue_energy` and by
+differences, of the volume term of the paper's energy and of the sum of all lateral areas. True sizes are those of the
+traced edges on reference tubes, and elsewhere those of sections on 20 layers, five passes and three steps of Newton's
+method. Times are the processor's, so that other work on the machine counts little; those of "traced" lack the tracing,
+since edges are kept. Writes benchmarks/results/gradients.json. Pin it to one core: `taskset -c 0`.
 """
 
 import os
@@ -64,13 +64,21 @@ def moved(place: np.ndarray, way: np.ndarray, domain: Any) -> np.ndarray:
     return there / np.linalg.norm(there, axis=1, keepdims=True) if place.shape[1] == 3 else there
 
 
+def is_inner(place: np.ndarray, domain: Any) -> np.ndarray:
+    """Which backbones stay within the domain, whichever way they go by a step."""
+    if place.shape[1] == 3:
+        return np.ones(len(place), bool)
+    ends = [place + sign * STEP for sign in (1, -1)]
+    return np.all([np.abs(np.asarray(domain.reflect(end)) - end).max(axis=1) < 1e-9 for end in ends], axis=0)
+
+
 def measured(name: str, domain: Any, place: np.ndarray, energy: str, sizes: tuple[str, ...]) -> list[dict[str, Any]]:
     """The cosine for one tissue, energy and each resolution, and the cost of the gradient."""
     model = jt.tube_model(domain, len(place), tension=1.0, cell_energy=ENERGIES[energy])
     neighbors, ways, expected = jt.NeighborList.allocate(place, domain), [], []
     units = np.array([1, float(domain.basal_radius)]) if isinstance(domain, jt.Tube) else 1.0
     for seed in range(DIRECTIONS):
-        way = np.random.default_rng(seed).normal(size=place.shape)
+        way = np.where(is_inner(place, domain)[:, None], np.random.default_rng(seed).normal(size=place.shape), 0)
         if place.shape[1] == 3:
             way -= (way * place).sum(axis=1, keepdims=True) * place
         ways.append(way / np.linalg.norm(way) / units)

@@ -103,8 +103,9 @@ def test_a_relaxed_tissue_tells_its_tension_and_target_volumes(monkeypatch):
     tension = 0.1 * mean ** (4 / 3)
     model = jt.tube_model(tube, 9, 1.0, tension, own_targets, parameters=(wanted * mean)[types])
     start = np.stack([np.arange(9) + 0.5, 1.8 * np.arange(9)], axis=1) * [12 / 9, 4 / 3]
-    place = jt.relax(start + 0.1 * np.sin(np.arange(18)).reshape(9, 2), model, resolution="traced").positions
-    found = jt.infer_parameters(place, tube, types=types)
+    relaxed = jt.relax(start + 0.1 * np.sin(np.arange(18)).reshape(9, 2), model, resolution="traced")
+    assert relaxed.converged  # the gradient fell to 1e-6 of what it was
+    found = jt.infer_parameters(relaxed.positions, tube, types=types)
     assert found.tension == pytest.approx(tension, rel=1e-4)  # 1e-6 as measured
     np.testing.assert_allclose(found.target_volumes, wanted * mean, rtol=1e-5)
     assert found.noise < 1e-5

@@ -59,7 +59,7 @@ class DomainRun:
         """Measure a tissue on complete lists; warns, once, of cells that cannot be trusted."""
         measured = survey(positions, self.scene, batch)
         cut = int(measured.is_cut.sum())
-        doubts = self._doubts(measured) if positions.ndim == 3 else []
+        doubts = self._doubts(measured)
         if cut or measured.unproved:
             told = (
                 f"{cut} cells are too wide to be measured, and neighbors may be missing at {measured.unproved} corners"
@@ -71,10 +71,11 @@ class DomainRun:
         return measured
 
     def _doubts(self, measured: Measured) -> list[str]:
-        """What else tells that tilted and bent cells cannot be trusted: volumes add up to the tissue if they can."""
+        """What else tells that cells cannot be trusted: volumes add up to the tissue if they can."""
         doubts, whole = [], float(self.model.domain.volume)
         off = abs(float(np.asarray(measured.state.cells.sizes.volume, float).sum()) / whole - 1)
-        if len(cells := turning_cells(crowd_of(self.scene.domain, measured.positions), *measured.walls())):
+        is_bent, crowd = measured.positions.ndim == 3, crowd_of(self.scene.domain, measured.positions)
+        if is_bent and len(cells := turning_cells(crowd, *measured.walls())):
             doubts.append(tell_of_turning(cells))
         if off > DEFECT:
             doubts.append(f"volumes add up to {100 * off:.2g} % more or less than the tissue; energies may be wrong")
