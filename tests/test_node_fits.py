@@ -155,12 +155,11 @@ def test_nodes_without_walls_go_on_nearly_straight():
 
 
 @pytest.mark.filterwarnings("ignore:contacts of the fitted cells are not computed")  # cells reach far round the lumen
-@pytest.mark.parametrize("nodes", [2, 3])
-def test_cells_that_the_image_cuts_stay_near(nodes):
-    """Of 17 cells, 11 lack a part of their walls; without stiffness nodes of theirs were off by 56 and 23 voxels."""
-    positions = bent(TUBE, straight_on(TUBE), nodes)
+def test_cells_that_the_image_cuts_stay_near():
+    """Of 17 cells, 11 lack a part of their walls; without stiffness nodes of theirs were off by 23 voxels."""
+    positions = bent(TUBE, straight_on(TUBE), 3)
     image, frame = drawn(TUBE, positions)
-    fit = jt.fit_tissue(image[:, :, : image.shape[2] // 2], SPACING, "tube", nodes)
+    fit = jt.fit_tissue(image[:, :, : image.shape[2] // 2], SPACING, "tube", 3)
     assert fit.cells.at_border.sum() == 11 and fit.report["voxels_same"] > 0.98
     assert apart(fit, TUBE, positions, frame)[fit.cells.at_border].max() < 5  # found up to 2.8
 
