@@ -119,6 +119,7 @@ def test_commands_take_the_file_in_place_of_the_sizes(tmp_path, backbones, capsy
     "domain",
     [
         jt.RoundTube(10, 1, 2, periodic=True),
+        jt.RoundTube(10, 1, 2),
         jt.Slab(4, 3, 2, periodic=(True, False)),
         jt.EllipticTube(10, [1, 2], [2, 3]),
         jt.BentTube(5, 1.5, 1, 2),

@@ -183,7 +183,7 @@ def test_commands_go_on_from_nodes(tmp_path, capsys, nodes):
     np.save(path, drawn(TUBE, positions)[0])
     assert main(["fit", str(path), "--spacing", *map(str, SPACING), "--nodes", str(nodes), "--out", str(out)]) == 0
     assert "--no-contacts" not in capsys.readouterr().out
-    assert json.loads((out / "domain.json").read_text())["shape"] == "tube"
+    assert json.loads((out / "domain.json").read_text())["shape"] == "round_tube"
     assert json.loads((out / "fit.json").read_text())["nodes"] == nodes
     with (out / "backbones.csv").open() as file:
         rows = list(csv.DictReader(file))

@@ -74,6 +74,8 @@ SHAPES: dict[str, Shape] = {
         _tube,
         {"periodic": False},
     ),
+    # the same tube as any other domain is, for tilted and bent backbones
+    "round_tube": Shape(RoundTube, {"length": number, "apical_radius": number, "basal_radius": number}, RoundTube),
     "slab": Shape(
         Slab,
         {"width": number, "depth": number, "thickness": number, "periodic": several(2, flag)},
@@ -100,16 +102,17 @@ def load_domain(path: str | Path) -> Any:
     """Read a domain from a JSON file.
 
     The file holds one object with the key "shape" and the dimensions of that shape, for example `{"shape": "tube",
-    "length": 40, "apical_radius": 2, "basal_radius": 8}`; `jaxtissue fit` writes such files. Shapes are "tube", "slab",
-    "elliptic_tube", "bent_tube", "sphere", "ellipsoid" and "fold". The keys are the attribute names of the classes; the
-    key "periodic" of "tube" (true or false) and of "slab" (a list of two) is optional and defaults to false.
+    "length": 40, "apical_radius": 2, "basal_radius": 8}`; `jaxtissue fit` writes such files. Shapes are "tube",
+    "round_tube" (a tube whose backbones may be tilted or bent), "slab", "elliptic_tube", "bent_tube", "sphere",
+    "ellipsoid" and "fold". The keys are the attribute names of the classes; the key "periodic" of "tube" (true or
+    false) and of "slab" (a list of two) is optional and defaults to false.
 
     Args:
         path: Path of the file.
 
     Returns:
-        The domain, in the length unit of the file: a `Tube`, a `RoundTube` if "tube" is periodic, or an instance of
-        `Slab`, `EllipticTube`, `BentTube`, `Sphere`, `Ellipsoid` or `Fold`.
+        The domain, in the length unit of the file: a `Tube`, a `RoundTube` for "round_tube" or a periodic "tube", or an
+        instance of `Slab`, `EllipticTube`, `BentTube`, `Sphere`, `Ellipsoid` or `Fold`.
 
     Raises:
         ValueError: If the file cannot be read or is not a JSON object, if the shape is unknown, or if a dimension is
@@ -167,7 +170,7 @@ def domain_values(domain: Any) -> dict[str, Any]:
     {'shape': 'tube', 'length': 40.0, 'apical_radius': 2.0, 'basal_radius': 8.0, 'periodic': False}
     """
     for name, shape in SHAPES.items():
-        if type(domain) is shape.kind or (name == "tube" and isinstance(domain, RoundTube)):
+        if type(domain) is shape.kind or (name == "tube" and isinstance(domain, RoundTube) and domain.periodic):
             sizes = {size: getattr(domain, size, shape.defaults.get(size)) for size in shape.sizes}
             return {"shape": name} | {size: np.asarray(value).tolist() for size, value in sizes.items()}
     raise ValueError(

@@ -24,7 +24,8 @@ TILT = 0.1  # radians by which rounding of two places may turn the wall between 
 NO_NUMBERS = str | bytes | bool | None  # though Python makes floats of some
 STRAIGHT = (
     "tilted and bent backbones can only be measured (measure, compare)"
-    " and, on domains other than Tube, annealed and relaxed; give straight ones here"
+    " and, on domains other than Tube, annealed and relaxed; give straight ones here, or for a tube a RoundTube"
+    " (in domain files the shape round_tube)"
 )
 X64 = "use 64 bits (--x64, jax_enable_x64)"
 
