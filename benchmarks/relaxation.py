@@ -7,7 +7,7 @@
 Writes benchmarks/results/relaxation.json and docs/relaxation.png; with --first the results that are there are kept and
 go on with that start, with --again only the table and the picture of them are made. From each random start all
 methods run one after the other. Compiling is apart: each method runs a little once before it is timed. Results are
-written after each start. Pin it to one core: `taskset -c 0`.
+written after each tissue. Pin it to one core: `taskset -c 0`.
 """
 
 import json
@@ -161,8 +161,8 @@ def main() -> None:
     for seed in range(options.first, options.first + options.seeds):
         for name, domain in tissues(options.cells).items():
             rows += rows_of(name, domain, seed, options)
-        load = {"load_average": os.getloadavg(), "cores": len(os.sched_getaffinity(0)), "seeds": seed + 1}
-        common.write(options.out, sizes | load | {"table": table(rows), "rows": rows})
+            load = {"load_average": os.getloadavg(), "cores": len(os.sched_getaffinity(0)), "seeds": seed + 1}
+            common.write(options.out, sizes | load | {"table": table(rows), "rows": rows})
         draw(rows, options.picture)
 
 
