@@ -122,11 +122,13 @@ def test_wrong_nodes_are_refused(positions, domain, told):
         as_domain_positions(positions, domain, bent=True)
 
 
-def test_what_takes_straight_backbones_alone_says_so(tilted):
-    with pytest.raises(ValueError, match="can only be measured"):
-        jt.NeighborList.allocate(tilted[0], SLAB)
-    with pytest.raises(ValueError, match="can only be measured"):
-        jt.find_contacts(np.zeros((2, 2, 2)), TUBE)
+def test_what_takes_straight_backbones_alone_says_so():
+    nodes, model = np.zeros((2, 2, 2)), jt.tube_model(TUBE, 2)
+    for straight in (jt.NeighborList.allocate, jt.find_contacts, jt.infer_parameters):
+        with pytest.raises(ValueError, match=r"can only be measured .* or for a tube a RoundTube"):
+            straight(nodes, TUBE)
+    with pytest.raises(ValueError, match=r"can only be measured .* or for a tube a RoundTube"):
+        jt.relax(nodes, model)
 
 
 @pytest.mark.parametrize("heights", [None, [0, 0.5, 1], [0, 0.2, 1]])
