@@ -88,7 +88,7 @@ def anneal(
     """Run Metropolis-Hastings sweeps at constant temperature or with a schedule (paper, sections 3.3 and 4.3).
 
     Moves of independent sets of backbones are proposed and decided together (IS-MH). To minimize the energy, `relax` is
-    much faster (`Tube` only); to sample at several temperatures use `temper`; to stop and continue a run use
+    much faster; to sample at several temperatures use `temper`; to stop and continue a run use
     `Annealer`. The same positions and seed give the same result as the command `jaxtissue anneal`, bit for bit. A
     progress bar is shown on a terminal.
 
