@@ -26,7 +26,7 @@ from jaxtissue.sections.cells import MANY_SLOTS, RULE, Layers, plan_layers
 from jaxtissue.sections.crowd import tell_of_turning, turning_cells
 
 Plan = Sequence[Int[np.ndarray, "rounds width"]]
-DEFECT = 2e-3  # of the tissue, by which volumes of tilted and bent cells may miss it without a warning
+DEFECT = 2e-3  # of the tissue, by which the volumes of all cells may miss it without a warning
 
 
 class Played(NamedTuple):
@@ -74,9 +74,10 @@ class DomainRun:
         """What else tells that cells cannot be trusted: volumes add up to the tissue if they can."""
         doubts, whole = [], float(self.model.domain.volume)
         off = abs(float(np.asarray(measured.state.cells.sizes.volume, float).sum()) / whole - 1)
-        is_bent, crowd = measured.positions.ndim == 3, crowd_of(self.scene.domain, measured.positions)
-        if is_bent and len(cells := turning_cells(crowd, *measured.walls())):
-            doubts.append(tell_of_turning(cells))
+        if measured.positions.ndim == 3:
+            crowd = crowd_of(self.scene.domain, measured.positions)
+            if len(cells := turning_cells(crowd, *measured.walls())):
+                doubts.append(tell_of_turning(cells))
         if off > DEFECT:
             doubts.append(f"volumes add up to {100 * off:.2g} % more or less than the tissue; energies may be wrong")
         return doubts
