@@ -28,6 +28,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as shells do for what t
     signal.signal(signal.SIGINT, signal.default_int_handler)
 # the modules of tests whose calls are checked against annotations; others give wrong kinds on purpose, or wait
 CHECKED = {"test_contacts", "test_layers", "test_tissue"}
+PRECISE = jax.config.read("jax_enable_x64")  # as the environment has it
 REFERENCES = sorted(path.stem for path in DATA.glob("*.npz"))
 
 quick.begin()
@@ -65,6 +66,13 @@ def check_annotations(request):
         checked.CHECKING.add(request.module.__name__)
     yield
     checked.CHECKING.discard(request.module.__name__)
+
+
+@pytest.fixture(autouse=True)
+def restore_precision():
+    """What --x64, or a run that goes on, has switched ends with the test: the next one may be of another file."""
+    yield
+    jax.config.update("jax_enable_x64", PRECISE)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -61,14 +61,6 @@ MEANS = [
 GOOD = "axial,angle\n1,0\n5,2\n9,4\n"
 
 
-@pytest.fixture(autouse=True)
-def restore_precision():
-    """What --x64 switches on ends with the test."""
-    before = jax.numpy.result_type(float) == np.float64
-    yield
-    jax.config.update("jax_enable_x64", before)
-
-
 def start(*arguments):
     """The command in a process of its own, with its output as text."""
     path = os.pathsep.join([str(Path(jaxtissue.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import quick
 from known import known
-from test_cli import column, read_table, restore_precision, without_seconds  # noqa: F401
+from test_cli import column, read_table, without_seconds
 
 import jaxtissue
 from jaxtissue.cli.commands import main

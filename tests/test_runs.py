@@ -9,7 +9,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from test_cli import SIZES, SMALL, restore_precision, same_run, without_seconds  # noqa: F401
+from test_cli import SMALL, same_run, without_seconds
 
 from jaxtissue.cli.commands import main
 from jaxtissue.dynamics.annealer import Annealer

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import quick
-from test_cli import SIZES, SMALL, restore_precision  # noqa: F401
+from test_cli import SIZES, SMALL
 
 import jaxtissue
 from jaxtissue.cli.commands import main
