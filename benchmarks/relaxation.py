@@ -25,7 +25,8 @@ import jaxtissue as jt
 
 # one after another, with the most steps of all but the last
 METHODS: tuple[dict[str, int], ...] = ({"lloyd": 0}, {"fire": 0}, {"lbfgs": 0}, {"lloyd": 5, "lbfgs": 0})
-METROPOLIS, TEMPERATURES = "is-mh", (2.0, 0.0)
+METROPOLIS = "is-mh"
+SCHEDULES = {"T = 2": (2.0, 2.0), "T = 0": (0.0, 0.0), "annealed": (100.0, 0.05)}  # from first to last temperature
 WITHIN = 0.01  # of the best energy known
 
 
@@ -43,10 +44,12 @@ def tissues(cells: int) -> dict[str, Any]:
 Curve = list[tuple[float, float]]  # seconds and energy
 
 
-def metropolis(place: np.ndarray, domain: Any, temperature: float, sweeps: int) -> Curve:
-    """Seconds and energy after every span of sweeps."""
+def metropolis(place: np.ndarray, domain: Any, ends: tuple[float, float], sweeps: int) -> Curve:
+    """Seconds and energy after every span of sweeps, at one temperature or as it falls by equal ratios."""
+    first, last = ends
+    temperatures = np.full(sweeps, first) if first == last else jt.geometric_schedule(first, last, sweeps)
     model = jt.tube_model(domain, len(place))
-    annealer = jt.Annealer(model, "draft", METROPOLIS, 0, np.full(sweeps, temperature))
+    annealer = jt.Annealer(model, "draft", METROPOLIS, 0, temperatures)
     state = annealer.start(place)
     curve, seconds = [(0.0, annealer.record(state).energy)], 0.0
     while state.sweep < sweeps:
@@ -79,11 +82,11 @@ def rows_of(name: str, domain: Any, seed: int, options: Any) -> list[dict[str, A
     place = np.asarray(domain.random_positions(jax.random.key(seed), options.cells))
     model, rows = jt.tube_model(domain, options.cells), []
     sweeps = options.sweeps if isinstance(domain, jt.Tube) else options.sweeps_on_domains
-    for temperature in TEMPERATURES:
+    for schedule, ends in SCHEDULES.items():
         if seed == options.first:
-            metropolis(place, domain, temperature, 20)
-        curve = metropolis(place, domain, temperature, sweeps)
-        rows.append({"method": f"{METROPOLIS}, T = {temperature:g}", "curve": curve, "sweeps": sweeps})
+            metropolis(place, domain, ends, 20)
+        curve = metropolis(place, domain, ends, sweeps)
+        rows.append({"method": f"{METROPOLIS}, {schedule}", "curve": curve, "sweeps": sweeps})
     for methods in METHODS:
         if seed == options.first:
             relaxed(place, model, dict.fromkeys(methods, 2))
