@@ -15,13 +15,14 @@ from matplotlib.image import imread
 from PIL import Image
 
 from jaxtissue.cli.commands import main
+from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.exports.tissue_record import TissueRecord
+from jaxtissue.geometry.nodes import as_domain
 from jaxtissue.geometry.shapes import Slab, Sphere
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.cell_meshes import mesh_cells
 from jaxtissue.meshes.coloring import PALETTE, spread_colors
-from jaxtissue.meshes.cuts import segments
 from jaxtissue.meshes.straight_edges import straighten
 from jaxtissue.pictures.bodies import body
 from jaxtissue.pictures.domain_outsides import open_domain
@@ -147,7 +148,7 @@ def test_the_command_draws_what_measure_left(tissue, tmp_path, capsys):
 
 
 def test_edges_are_straight_and_cells_as_large_as_before(tissue):
-    meshes, backbones = tissue.meshes, segments(*tissue.ends)
+    meshes, backbones = tissue.meshes, Crowd(tissue.positions, as_domain(TUBE))
     straight = straighten(meshes, backbones, partial(label_points, positions=tissue.positions, domain=TUBE))
     assert straight.triangles is meshes.triangles
 

@@ -107,7 +107,7 @@ RELATIVE = (
     "the paper's tube of 500 cells then has --tension 0.0016 --temperature 0.0005"
 )
 NODES = (
-    "points that each backbone goes through from surface to surface; 2: tilted, 3 or more: bent backbones, without "
-    "pictures (default: 1, straight)"
+    "points that each backbone goes through from surface to surface; 2: tilted, 3 or more: bent backbones "
+    "(default: 1, straight)"
 )
 RUN = "folder written by anneal, relax, measure or fit"

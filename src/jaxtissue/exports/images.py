@@ -70,7 +70,7 @@ def write_ome_zarr(tissue: TissueRecord, folder: Path, spacing: Spacing | None) 
     image = {"name": "cell labels: 0 outside, cell number + 1 inside", "axes": axes, "datasets": copies}
     colors = [
         {"label-value": cell + 1, "rgba": [round(255 * part) for part in to_rgba(PALETTE[color])]}
-        for cell, color in enumerate(spread_colors(len(tissue.positions), tissue.connectivity.contacts.pairs).tolist())
+        for cell, color in enumerate(spread_colors(len(tissue.positions), tissue.pairs).tolist())
     ]
     group.attrs["ome"] = {"version": "0.5", "multiscales": [image], "image-label": {"colors": colors}}
     return [path]

@@ -23,10 +23,9 @@ def write_vtk(tissue: TissueRecord, folder: Path) -> list[Path]:
         "walls.vtp": walls(pyvista, tissue.meshes),
         "backbones.vtp": backbones(pyvista, tissue, columns),
     }
-    transitions = tissue.connectivity.transitions
-    if len(transitions.points):
-        points = pyvista.PolyData(transitions.points)
-        points.point_data["cells"] = transitions.cells
+    if tissue.followed and len(tissue.followed.transitions.points):
+        points = pyvista.PolyData(tissue.followed.transitions.points)
+        points.point_data["cells"] = tissue.followed.transitions.cells
         parts["transitions.vtp"] = points
     for name, part in parts.items():
         part.field_data["unit"] = [tissue.unit or "none"]
@@ -65,10 +64,10 @@ def walls(pyvista: Any, meshes: CellMeshes) -> Any:
 
 
 def backbones(pyvista: Any, tissue: TissueRecord, columns: dict[str, np.ndarray]) -> Any:
-    """Return the backbones as line segments that carry the table of cells."""
-    n = len(tissue.positions)
-    lines = np.stack([np.full(n, 2), np.arange(n), n + np.arange(n)], axis=1)
-    sheet = pyvista.PolyData(np.concatenate(tissue.ends), lines=lines.ravel())
+    """Return the backbones as lines through their nodes that carry the table of cells."""
+    n, k, _ = tissue.nodes.shape
+    lines = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)])
+    sheet = pyvista.PolyData(tissue.nodes.reshape(-1, 3), lines=lines.ravel())
     for name, column in columns.items():
         sheet.cell_data[name] = column.astype(np.int32) if column.dtype.kind == "b" else column
     return sheet

@@ -13,7 +13,7 @@ from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.backbones import Backbones
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain, in_doubles
-from jaxtissue.geometry.nodes import ENDS, as_nodes, domain_of, has_nodes, heights_of, node_points
+from jaxtissue.geometry.nodes import ENDS, as_domain, as_nodes, domain_of, has_nodes, heights_of, node_points
 from jaxtissue.geometry.positions import AXES, BACKBONES, ROUNDING, SAME, STRAIGHT, X64, Rows, as_numbers, as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.geometry.vectors import rows as as_rows
@@ -48,6 +48,16 @@ def ends_in_space(
     with usual_modes(), double_precision():
         ends = _embed_ends(in_doubles(domain), jnp.asarray(np.asarray(positions, float)))
     return np.asarray(ends.apical), np.asarray(ends.basal)
+
+
+def nodes_in_space(
+    positions: Float[np.ndarray, "n d"] | Float[np.ndarray, "n k d"], domain: Tube | Domain
+) -> Float[np.ndarray, "n k 3"]:
+    """The nodes of backbones in Cartesian coordinates, in float64; of straight ones both ends."""
+    if not has_nodes(positions):
+        return np.stack(ends_in_space(positions, domain), axis=1)
+    with usual_modes(), double_precision():
+        return np.asarray(_embed_nodes(in_doubles(as_domain(domain)), jnp.asarray(np.asarray(positions, float))))
 
 
 def place_columns(positions: Float[np.ndarray, "n d"], domain: Tube | Domain) -> dict[str, np.ndarray]:

@@ -39,7 +39,12 @@ def has_nodes(positions: Any) -> bool:
 
 def domain_of(domain: Tube | Domain, positions: Any) -> Tube | Domain:
     """The domain on which backbones stand: for nodes, a tube is one like any other."""
-    if isinstance(domain, Tube) and has_nodes(positions):
+    return as_domain(domain) if has_nodes(positions) else domain
+
+
+def as_domain(domain: Tube | Domain) -> Domain:
+    """The domain, a tube as one like any other."""
+    if isinstance(domain, Tube):
         return RoundTube(domain.length, domain.apical_radius, domain.basal_radius)
     return domain
 

@@ -23,7 +23,7 @@ FEW = 4  # nearest backbones, itself included, that are looked at
 TILT = 0.1  # radians by which rounding of two places may turn the wall between them
 NO_NUMBERS = str | bytes | bool | None  # though Python makes floats of some
 STRAIGHT = (
-    "tilted and bent backbones can only be measured (measure, compare)"
+    "tilted and bent backbones can only be measured (measure, compare), drawn and exported (view, export)"
     " and, on domains other than Tube, annealed and relaxed; give straight ones here, or for a tube a RoundTube"
     " (in domain files the shape round_tube)"
 )

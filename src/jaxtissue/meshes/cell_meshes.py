@@ -10,12 +10,13 @@ from jaxtyping import Bool, Float, Int
 from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.geometry.array_likes import PositionsLike
-from jaxtissue.geometry.domain_positions import as_positions_on
+from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import as_domain, domain_of
 from jaxtissue.geometry.positions import as_positions
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.bisection import Bisection
-from jaxtissue.meshes.cuts import Segments, Walls, cut, segments
+from jaxtissue.meshes.cuts import Walls, cut
 from jaxtissue.meshes.domain_grid import Prisms, domain_grid
 from jaxtissue.meshes.grid import Grid
 from jaxtissue.meshes.tube_grid import tube_grid
@@ -100,6 +101,7 @@ def mesh_cells(
     Args:
         positions: Axial position and angle in radians of each backbone, array-like of shape [n, 2] or a table with
             columns `axial` and `angle`; on other domains coordinates of shape [n, 2] or unit vectors of shape [n, 3].
+            For tilted and bent backbones positions of nodes, shape [n, k, d], or [n, k, d + 1] with heights.
         domain: The tube or other domain. Cells that cross a periodic boundary are cut there.
         tolerance: Largest volume error per triangle, as a fraction of the volume of the cell, greater than 0. With the
             default, the volumes of cells in random tissues are accurate to about 1 %. A tolerance four times as large
@@ -122,14 +124,12 @@ def mesh_cells(
         raise ValueError(
             f"tolerance={tolerance} is not positive; give a fraction of the cell volume, such as {TOLERANCE:g}"
         )
+    domain = domain_of(domain, positions)
     if isinstance(domain, Domain):
-        return _mesh_domain(as_positions_on(positions, domain), domain, tolerance, chosen)
+        place = as_domain_positions(positions, domain, np.float64, bent=True)
+        return _mesh_domain(place, domain, tolerance, chosen)
     tube, place = domain, as_positions(positions, domain, np.float64, sizes=False)
-    axial, (cosine, sine) = place[:, 0], (np.cos(place[:, 1]), np.sin(place[:, 1]))
-    ends = (
-        np.stack([axial, r * cosine, r * sine], axis=1) for r in map(float, (tube.apical_radius, tube.basal_radius))
-    )
-    backbones = segments(*ends)
+    axial, backbones = place[:, 0], Crowd(place, as_domain(tube))
 
     def label(points: Float[np.ndarray, "m 3"]) -> Int[np.ndarray, " m"]:
         return label_points(points, place, tube)
@@ -149,13 +149,12 @@ def _mesh_domain(
     """`mesh_cells` on a domain; beyond periodic directions cells go on as those of copies of their backbones."""
     n, crowd = len(place), Crowd(place, domain)
     copies = crowd.start.shape[1]
-    backbones = segments(crowd.start[0], crowd.start[0] + crowd.along[0])
     grid = domain_grid(domain, n)
     if chosen is None:
-        meshes = mesh_grid(grid, crowd.nearest, backbones, tolerance)
+        meshes = mesh_grid(grid, crowd.nearest, crowd, tolerance)
     else:
         own, near = np.isin(np.arange(copies) % n, chosen), _NEAR
-        while not (meshes := mesh_grid(grid, crowd.nearest, backbones, tolerance, (own, near))).is_closed(own):
+        while not (meshes := mesh_grid(grid, crowd.nearest, crowd, tolerance, (own, near))).is_closed(own):
             if near >= _FAR:
                 break
             near *= 2
@@ -187,7 +186,7 @@ def _grid_of(
 def mesh_grid(
     grid: Grid | Prisms,
     label: Callable[[Float[np.ndarray, "m 3"]], Int[np.ndarray, " m"]],
-    backbones: Segments,
+    backbones: Crowd,
     tolerance: float,
     chosen: tuple[Bool[np.ndarray, " n"], int] | None = None,
 ) -> CellMeshes:
@@ -196,7 +195,7 @@ def mesh_grid(
     Of the chosen cells alone, which the grid must hold as wholes, and so many tetrahedra round them are looked at.
     """
     own, near = chosen or (None, 0)
-    n = len(backbones.start)
+    n = backbones.start.shape[1]
     mesh = Bisection(grid, n)
     labels = label(mesh.nodes)
     if own is not None:
@@ -232,7 +231,7 @@ def _mixed(tetrahedra: Int[np.ndarray, "t 4"], labels: Int[np.ndarray, " p"]) ->
     return np.flatnonzero((own != own[:, :1]).any(axis=1))
 
 
-def _errors(walls: Walls, label: Callable[[np.ndarray], np.ndarray], backbones: Segments) -> Float[np.ndarray, " t"]:
+def _errors(walls: Walls, label: Callable[[np.ndarray], np.ndarray], backbones: Crowd) -> Float[np.ndarray, " t"]:
     """The volume between each triangle and the wall, to first order; or to a cell that the triangle lies in."""
     corner = walls.points[walls.triangles]
     center, area = (

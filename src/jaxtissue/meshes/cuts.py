@@ -12,10 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.meshes.bisection import EDGES, TOTAL, edge_keys
 
 MARGIN = 1e-3  # of an edge or of a face's height: points keep off the corners, lest triangles vanish
 STEPS = 4  # of Newton's method, for points of faces and tetrahedra
+HALVINGS = 4  # of what may hold a wall of bent backbones, for points of edges
 _ALIKE = np.array([4, 2, 1])  # in the kind of a tetrahedron, for nodes, sorted by label, that are as the one before
 _ONE, _TWO, _PAIR, _FOUR = 3, 5, 4, 0  # kinds: one node parted from three, two from two, two from one and one, all
 _LAYOUTS = {6: (3, 1, 0, 2), 2: (1, 2, 0, 3), 1: (2, 3, 0, 1)}  # even permutations of other kinds into these
@@ -31,31 +33,6 @@ class Walls(NamedTuple):
     origin: Int[np.ndarray, " t"]  # -1 on surfaces
 
 
-class Segments(NamedTuple):
-    """Backbones as segments: start, direction along, 1 / length squared."""
-
-    start: Float[np.ndarray, "n 3"]
-    along: Float[np.ndarray, "n 3"]
-    scale: Float[np.ndarray, " n"]
-
-    def offset(self, points: Float[np.ndarray, "m 3"], own: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m 3"]:
-        """From the nearest point of a backbone to each point."""
-        away, along = points - self.start[own], self.along[own]
-        share = np.clip(np.einsum("ij,ij->i", away, along) * self.scale[own], 0, 1)
-        return away - share[:, None] * along
-
-    def square(self, points: Float[np.ndarray, "m 3"], own: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Squared distances of points from a backbone each."""
-        away = self.offset(points, own)
-        return np.einsum("ij,ij->i", away, away)
-
-
-def segments(start: Float[np.ndarray, "n 3"], stop: Float[np.ndarray, "n 3"]) -> Segments:
-    """The backbones from `start` to `stop`."""
-    along = np.asarray(stop, float) - np.asarray(start, float)
-    return Segments(np.asarray(start, float), along, 1 / np.einsum("ij,ij->i", along, along))
-
-
 class _Sorted(NamedTuple):
     """Simplices with their nodes in the order of labels, and whether that order turns them inside out."""
 
@@ -69,7 +46,7 @@ def cut(
     labels: Int[np.ndarray, " p"],
     tetrahedra: Int[np.ndarray, "t 4"],
     surfaces: Mapping[int, Int[np.ndarray, "s 3"]],
-    backbones: Segments,
+    backbones: Crowd,
 ) -> Walls:
     """Cut tetrahedra along the walls between the cells of their nodes.
 
@@ -196,25 +173,37 @@ def _turned(triangles: Int[np.ndarray, "t 3"], mirrored: Bool[np.ndarray, " t"])
 
 
 def _on_edges(
-    ends: Float[np.ndarray, "e 2 3"], labels: Int[np.ndarray, "e 2"], backbones: Segments
+    ends: Float[np.ndarray, "e 2 3"], labels: Int[np.ndarray, "e 2"], backbones: Crowd
 ) -> Float[np.ndarray, "e 3"]:
     """The points of edges that are as far from the backbones of both ends.
 
-    Squared distances from a straight line are quadratic along an edge.
+    Squared distances from a straight line are quadratic along an edge. Those from bent backbones are so in parts: the
+    edge is halved a few times first.
     """
     start, along = ends[:, 0], ends[:, 1] - ends[:, 0]
-    low, mid, high = (
-        backbones.square(start + at * along, labels[:, 0]) - backbones.square(start + at * along, labels[:, 1])
-        for at in (0, 0.5, 1)
-    )
+    first, size = np.zeros(len(ends)), 1.0
+
+    def lead(share: float) -> Float[np.ndarray, " e"]:
+        """How much farther the first backbone is than the second; so far along the part of the edge looked at."""
+        point = start + (first + share * size)[:, None] * along
+        one, two = ((backbones.offset(point, own) ** 2).sum(axis=1) for own in labels.T)
+        return one - two
+
+    low, mid, high = lead(0), lead(0.5), lead(1)
+    for _ in range(HALVINGS if len(backbones.start) > 1 else 0):
+        later = mid < 0
+        first, size = np.where(later, first + size / 2, first), size / 2
+        low, high = np.where(later, mid, low), np.where(later, high, mid)
+        mid = lead(0.5)
     slope, bend = 4 * mid - 3 * low - high, 2 * (low + high) - 4 * mid
     divisor = slope + np.sqrt(np.maximum(slope**2 - 4 * bend * low, 0))
     share = np.where(divisor > 0, -2 * low / np.where(divisor > 0, divisor, 1), 0.5)
+    share = first + np.clip(share, 0, 1) * size
     return start + np.clip(share, MARGIN, 1 - MARGIN)[:, None] * along
 
 
 def _within(
-    corners: Float[np.ndarray, "m k 3"], labels: Int[np.ndarray, "m k"], backbones: Segments
+    corners: Float[np.ndarray, "m k 3"], labels: Int[np.ndarray, "m k"], backbones: Crowd
 ) -> Float[np.ndarray, "m 3"]:
     """The points within simplices that are as far from all of their backbones, or near there.
 

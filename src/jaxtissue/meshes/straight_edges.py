@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.meshes.cell_meshes import CellMeshes
-from jaxtissue.meshes.cuts import Segments
 
 STEPS = 5  # of Newton's method
 TURNS = 3  # in each but the first, a vertex that came to lie in another cell is moved to its wall
@@ -22,7 +22,7 @@ _WRONG = 0.05  # of that side: deeper in another cell, a vertex goes back to whe
 
 
 def straighten(
-    meshes: CellMeshes, backbones: Segments, label: Callable[[Float[np.ndarray, "m 3"]], Int[np.ndarray, " m"]]
+    meshes: CellMeshes, backbones: Crowd, label: Callable[[Float[np.ndarray, "m 3"]], Int[np.ndarray, " m"]]
 ) -> CellMeshes:
     """Move vertices where three and more cells or surfaces meet to where the cells' backbones are equally far.
 
@@ -80,7 +80,7 @@ def _lies_elsewhere(
     place: Float[np.ndarray, "m 3"],
     labels: Int[np.ndarray, "m 4"],
     nearest: Int[np.ndarray, " m"],
-    backbones: Segments,
+    backbones: Crowd,
     depth: Float[np.ndarray, " m"],
 ) -> Bool[np.ndarray, " m"]:
     """Whether points lie in a cell that is none of theirs, deeper than so much."""
@@ -95,7 +95,7 @@ def _equations(
     labels: Int[np.ndarray, "m 4"],
     upright: Float[np.ndarray, "m 4 3"],
     cells: int,
-    backbones: Segments,
+    backbones: Crowd,
 ) -> tuple[Float[np.ndarray, "m 3 3"], Float[np.ndarray, "m 3"]]:
     """The distances of points from three walls or surfaces each, to first order, and their derivatives.
 

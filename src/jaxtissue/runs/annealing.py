@@ -18,7 +18,6 @@ from jaxtissue.dynamics.sweep_log import AcceptanceWatch
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.nodes import has_nodes
 from jaxtissue.runs import formats, storage
 from jaxtissue.runs.preparing import Preparation
 from jaxtissue.runs.reports import contact_summary, contacts_of_run, tabulate_cells, write_contacts
@@ -151,7 +150,7 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
     connectivity, place = None, run.state.positions
     beside = preparation or Preparation()
     beside.add(f"maps {run.state.sweep}", partial(_maps, run, place))
-    if "tissue" in formats.LEFT and not (flat or settings.no_contacts or has_nodes(place)):
+    if "tissue" in formats.LEFT and not (flat or settings.no_contacts):
         beside.add("outside", partial(_outside, run))
     say(
         "measuring cells and drawing figures"
@@ -187,7 +186,7 @@ def _finish(run: Run, flat: bool, preparation: Preparation | None = None) -> Non
     run.write_manifest(**news, finished=now() if preparation else None, files=run.checksums(*RESULTS))
     _print_result(run)
     tissue = TissueRecord(np.asarray(place, float), model.domain, run.names, traced=connectivity)
-    leave_pictures(tissue, run.folder, flat or connectivity is None, beside.take("outside"))
+    leave_pictures(tissue, run.folder, flat or settings.no_contacts, beside.take("outside"))
 
 
 def _read_tools(flat: bool) -> None:

@@ -21,7 +21,7 @@ from jaxtissue.system.locks import alone
 def run_fit(path: Path, spacing: Any, shape: str, folder: Path, nodes: int = 1, flat: bool = False) -> dict[str, Any]:
     """Fit a tissue to the image in a file, write it into a folder with its page, and return the report.
 
-    `flat` leaves out the pictures in three dimensions, as do tilted and bent backbones, those of 2 and more `nodes`.
+    `flat` leaves out the pictures in three dimensions.
     Raises `ValueError` as `read_image` and `fit_tissue` do; nothing is written then.
     """
     read = read_image(path, spacing)
@@ -40,7 +40,7 @@ def run_fit(path: Path, spacing: Any, shape: str, folder: Path, nodes: int = 1, 
         storage.write_table(folder / CELLS, columns)
         write_json(folder / FIT, report | about | {"voxels": read.image.shape} | provenance())
         tissue = TissueRecord(fit.positions, fit.domain, unit=read.unit or "", traced=fit.connectivity)
-        leave_pictures(tissue, folder, flat or fit.connectivity is None)
+        leave_pictures(tissue, folder, flat)
     return report
 
 

@@ -134,7 +134,7 @@ def _finish(
     _print_result(settings, result, energy, summary)
     print(f"written to       {folder}")
     tissue = TissueRecord(np.asarray(place, float), domain, names, traced=connectivity)
-    leave_pictures(tissue, folder, connectivity is None)
+    leave_pictures(tissue, folder, settings.no_contacts)
 
 
 def _print_result(

@@ -8,6 +8,7 @@ from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domain_files import load_domain, save_domain
 from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import domain_of
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.cell_meshes import TOLERANCE
 from jaxtissue.runs import storage
@@ -61,16 +62,17 @@ def read_tissue(folder: Path, unit: str = "", tolerance: float | None = None) ->
                 f"the run in {folder} is not finished; continue it with: jaxtissue anneal --out {folder} --resume"
             )
         domain = Settings(**manifest["arguments"]).place
-        positions, names = read_backbones(folder / BACKBONES, domain)
+        positions, names = read_backbones(folder / BACKBONES, domain, bent=True)
         if (folder / CHECKPOINT).is_file():
             kept = storage.load_checkpoint(folder / CHECKPOINT)
             history = dict(zip(kept.kept_sweeps.tolist(), kept.kept_positions.astype(float), strict=True))
             history.setdefault(manifest["final"]["sweep"], positions)
     elif (folder / DOMAIN).is_file() and (folder / BACKBONES).is_file():
         domain = load_domain(folder / DOMAIN)
-        positions, names = read_backbones(folder / BACKBONES, domain)
+        positions, names = read_backbones(folder / BACKBONES, domain, bent=True)
     else:
         raise ValueError(
             f"{folder} contains no {BACKBONES} with {DOMAIN} or {MANIFEST}; give the folder of a run or a fit"
         )
+    domain = domain_of(domain, positions)
     return TissueRecord(positions, domain, names, unit, history, tolerance or TOLERANCE, measure=measure_tissue)

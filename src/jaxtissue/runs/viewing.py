@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from jaxtissue.diagram.nearest import Crowd
 from jaxtissue.diagram.point_location import label_points
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.nodes import has_nodes
+from jaxtissue.geometry.nodes import as_domain
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.meshes.cell_meshes import CellMeshes, mesh_cells
-from jaxtissue.meshes.cuts import segments
 from jaxtissue.meshes.straight_edges import straighten
 from jaxtissue.pictures.domain_outsides import open_domain
 from jaxtissue.pictures.movies import SMALLER, save_movie, turn_round
@@ -56,18 +56,17 @@ def leave_pictures(
 ) -> None:
     """Leave the page of a run, and its pictures `formats.LEFT` unless all are to be flat.
 
-    The `outside` of the tissue is computed if it is not given.
-    What can't be drawn is left out and told in a line; cells of tilted and bent backbones are not drawn. The page is
-    written before, too: should the system's graphics end the process, it is there.
+    The `outside` of the tissue is computed if it is not given. Of a tissue without contacts only that is drawn.
+    What can't be drawn is left out and told in a line. The page is written before, too: should the system's graphics
+    end the process, it is there.
     """
-    flat = flat or has_nodes(tissue.positions)
     write_page(folder, () if flat else None)
     if flat:
         return
     drawn = []
-    views = VIEWS | {"tissue": partial(_draw_whole, outside=outside)}
+    views = VIEWS | {"tissue": partial(_leave_whole, outside=outside)}
     for what in formats.LEFT:
-        if what == "scutoid" and not tissue.connectivity.transitions.per_cell.any():
+        if what == "scutoid" and not (tissue.traced and tissue.traced.transitions.per_cell.any()):
             continue
         try:
             views[what](tissue, folder / picture_name(what), None)
@@ -93,7 +92,7 @@ def find_scutoid(tissue: TissueRecord) -> int:
 
 
 def _colors(tissue: TissueRecord) -> np.ndarray:
-    return shades(len(tissue.positions), tissue.connectivity.contacts.pairs)
+    return shades(len(tissue.positions), tissue.pairs)
 
 
 def _mesh(tissue: TissueRecord, *cells: int) -> CellMeshes:
@@ -104,12 +103,18 @@ def _straight(tissue: TissueRecord, meshes: CellMeshes) -> CellMeshes:
     if not isinstance(tissue.domain, Tube):  # where cells are large on a curved surface, vertices would leave it
         return meshes
     label = partial(label_points, positions=tissue.positions, domain=tissue.domain)
-    return straighten(meshes, segments(*tissue.ends), label)
+    return straighten(meshes, Crowd(tissue.positions, as_domain(tissue.domain)), label)
 
 
-def _draw_whole(tissue: TissueRecord, path: Path, cell: int | None, outside: Sequence[Face] | None = None) -> None:
+def _draw_whole(tissue: TissueRecord, path: Path, cell: int | None) -> None:
+    save(draw_tissue(outside_of(tissue.positions, tissue.domain), _colors(tissue), tissue.unit), path)
+
+
+def _leave_whole(tissue: TissueRecord, path: Path, cell: int | None, outside: Sequence[Face] | None) -> None:
+    """The same from what a run has found: without contacts, cells that touch on the faces have other colors."""
     faces = outside or outside_of(tissue.positions, tissue.domain)
-    save(draw_tissue(faces, _colors(tissue), tissue.unit), path)
+    pairs = tissue.traced.contacts.pairs if tissue.traced else np.concatenate([face.pairs() for face in faces])
+    save(draw_tissue(faces, shades(len(tissue.positions), pairs), tissue.unit), path)
 
 
 def outside_of(positions: Float[np.ndarray, "n d"], domain: Tube | Domain) -> list[Face]:
@@ -125,8 +130,7 @@ def _draw_bodies(tissue: TissueRecord, path: Path, cell: int | None, apart: floa
 
 def _draw_cell(tissue: TissueRecord, path: Path, cell: int | None) -> None:
     own = len(tissue.positions) // 2 if cell is None else cell
-    pairs = tissue.connectivity.contacts.pairs
-    around = np.setdiff1d(pairs[(pairs == own).any(axis=1)], [own])
+    around = np.setdiff1d(tissue.pairs[(tissue.pairs == own).any(axis=1)], [own])
     meshes = _mesh(tissue, own, *around.tolist())
     save(draw_cells(meshes, _colors(tissue), [own], around.tolist(), unit=tissue.unit), path)
 
