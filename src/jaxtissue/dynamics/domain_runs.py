@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxtissue.compilation.batching import Batch
 from jaxtissue.dynamics.domain_lists import Measured, Shortlists, survey, with_slots
@@ -20,6 +20,7 @@ from jaxtissue.dynamics.replays import EXACT, SPAN, Segment, energies_together, 
 from jaxtissue.dynamics.spans import Trail
 from jaxtissue.dynamics.surface_moves import longest_move
 from jaxtissue.energy import Model
+from jaxtissue.geometry.nodes import bends_of
 from jaxtissue.measurement.quadrature import Resolution, section_layers
 from jaxtissue.neighbors.section_lists import crowd_of
 from jaxtissue.sections.cells import MANY_SLOTS, RULE, Layers, plan_layers
@@ -46,18 +47,20 @@ class DomainRun:
         model: The energy, in the precision of JAX.
         seed: The seed of the moves.
         temperatures: T of each sweep of the run.
-        scene: What sweeps are played with, without lists.
+        layers: On how many layers cells are measured.
+        scene: What sweeps are played with, without lists; of straight backbones.
     """
 
     model: Model
     seed: int
     temperatures: Float[np.ndarray, "sweeps"]
+    layers: int
     scene: Scene
     _warned: bool = False
 
     def survey(self, positions: Float[np.ndarray, "n *k d"], batch: Batch) -> Measured:
         """Measure a tissue on complete lists; warns, once, of cells that cannot be trusted."""
-        measured = survey(positions, self.scene, batch)
+        measured = survey(positions, self._scene(positions), batch)
         cut = int(measured.is_cut.sum())
         doubts = self._doubts(measured)
         if cut or measured.unproved:
@@ -69,6 +72,11 @@ class DomainRun:
             self._warned = True
             warnings.warn("; ".join(doubts), stacklevel=4)
         return measured
+
+    def _scene(self, positions: Float[np.ndarray, "n *k d"]) -> Scene:
+        """The scene with layers between the heights at which backbones bend."""
+        bends = bends_of(positions, self.scene.domain)
+        return self.scene if bends is None else replace(self.scene, layers=run_layers(self.model, self.layers, bends))
 
     def _doubts(self, measured: Measured) -> list[str]:
         """What else tells that cells cannot be trusted: volumes add up to the tissue if they can."""
@@ -91,11 +99,11 @@ class DomainRun:
             trail, measured = self._attempt(measured, lists.surroundings(), segment.plan, sweep, batch)
             after = again = self.survey(np.asarray(trail.positions[-1]), batch)
             if not self._agree(after, trail):
-                again = survey(np.asarray(trail.positions[-1]), self.scene, batch, lists.rivals)
+                again = survey(np.asarray(trail.positions[-1]), self._scene(measured.positions), batch, lists.rivals)
             if not self._agree(again, trail):
                 if len(pairs := lists.lacking(again)):
                     lists.add(pairs)
-                    measured = survey(measured.positions, self.scene, batch, lists.rivals)
+                    measured = survey(measured.positions, self._scene(measured.positions), batch, lists.rivals)
                     continue
                 if parts := halves(segment):
                     span[:1], lists = parts, Shortlists(measured)
@@ -121,7 +129,7 @@ class DomainRun:
         temperatures[: len(plan)] = self.temperatures[sweep : sweep + len(plan)]
         for k in range(len(plan)):
             draws[k] = draw(self.seed, sweep + k, n, dtype, kinds)
-        scene, orders = replace(self.scene, near=near, rule=measured.rule), padded_orders(plan, SPAN, near)
+        scene, orders = replace(self._scene(positions), near=near, rule=measured.rule), padded_orders(plan, SPAN, near)
         call = draws, measured.relisted(np.asarray(near.rivals)), scene, temperatures, orders
         ((trail, lacks_slots),) = batch.run(play, [call])
         if lacks_slots.any() and measured.rule.slots < MANY_SLOTS:
@@ -145,13 +153,17 @@ def domain_run(
     model: Model, resolution: Resolution | str, seed: int, temperatures: Float[np.ndarray, "sweeps"]
 ) -> DomainRun:
     """A run with a model that has the precision of JAX."""
-    layers = plan_layers(section_layers(resolution), check=False)
-    if not model.has_surfaces:
-        layers = Layers(layers.heights[:-2], layers.weights[:, :-2])
+    count = section_layers(resolution)
     cells = max(1, round(float(model.domain.volume) / float(model.mean_volume)))
     nothing = Surroundings(*[np.zeros((cells, 1), np.int32)] * 4)
     longest = np.asarray(longest_move(model.domain, cells), jnp.result_type(float))  # type: ignore[arg-type]
-    return DomainRun(model, seed, temperatures, Scene(model, nothing, layers, longest, RULE))
+    return DomainRun(model, seed, temperatures, count, Scene(model, nothing, run_layers(model, count), longest, RULE))
+
+
+def run_layers(model: Model, count: int, bends: Float[Array | np.ndarray, " k"] | None = None) -> Layers:
+    """The layers on which a run measures cells: with the surfaces only if the energy depends on them."""
+    layers = plan_layers(count, False, bends)
+    return layers if model.has_surfaces else Layers(layers.heights[:-2], layers.weights[:, :-2])
 
 
 def halves(segment: Segment) -> list[Segment]:

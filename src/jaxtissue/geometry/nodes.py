@@ -57,6 +57,18 @@ def heights_of(positions: np.ndarray, domain: Domain) -> Float[np.ndarray, "n k"
     return np.broadcast_to(np.linspace(0, 1, k), (n, k))
 
 
+def bends_of(
+    positions: Float[Array | np.ndarray, "n *k d"], domain: Domain
+) -> Float[Array | np.ndarray, " k-2"] | None:
+    """The heights at which backbones bend, in the mean over the backbones; none of straight and tilted ones."""
+    if positions.ndim == 2 or positions.shape[1] == 2:
+        return None
+    if positions.shape[-1] == len(domain.columns):
+        return np.linspace(0, 1, positions.shape[1])[1:-1]
+    heights = positions[:, 1:-1, -1]
+    return jax.lax.stop_gradient(heights.mean(axis=0)) if isinstance(heights, jax.Array) else heights.mean(axis=0)
+
+
 def as_nodes(positions: Float[Array, "n k d"], domain: Domain) -> Nodes:
     """The nodes of positions, those beyond a seam or a period put beside the node before."""
     size = len(domain.columns)

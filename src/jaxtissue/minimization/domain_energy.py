@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from jaxtissue.energy import Model
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import bends_of
 from jaxtissue.geometry.vectors import components, dot, rows, scale
 from jaxtissue.measurement.quadrature import Resolution, section_layers
 from jaxtissue.minimization.placed_energy import PlacedEnergy
@@ -87,7 +88,7 @@ class DomainEnergy(PlacedEnergy):
         super().__init__(model, mean_lengths(self.domain, area), (area / len(start)) ** 0.5)
         self._bent = start.ndim == 3
         self._heights = start[..., size:] if start.shape[-1] > (size := len(self.domain.columns)) else None
-        self._layers = plan_layers(section_layers(resolution), check=False)
+        self._layers = plan_layers(section_layers(resolution), False, bends_of(start, self.domain))
         self._lists: MovingLists | None = None
 
     def placed(self, positions: Float[np.ndarray, "n *k d"]) -> Float[np.ndarray, "n *k d"]:

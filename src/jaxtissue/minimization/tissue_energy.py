@@ -17,6 +17,7 @@ from jaxtissue.energy import Model, cell_energies, check_numbers
 from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domain_positions import column_names
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import bends_of
 from jaxtissue.geometry.positions import as_rows
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Lines, Resolution, as_resolution, plan_lines, section_layers, trace_lines
@@ -87,7 +88,7 @@ def tissue_energy(
     if resolution == TRACED:
         return traced_energy(place, model)
     if isinstance(model.domain, Domain):
-        layers = plan_layers(section_layers(resolution), check=False)
+        layers = plan_layers(section_layers(resolution), False, bends_of(place, model.domain))
         return energy_on_sections(place, model, layers, neighbors)
     tube, resolution = model.tube, as_resolution(resolution)
     is_traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tube))

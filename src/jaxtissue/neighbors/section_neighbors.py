@@ -11,12 +11,17 @@ from jaxtissue.compilation.modes import usual_modes
 from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import bends_of
 from jaxtissue.geometry.positions import as_rows
 from jaxtissue.neighbors.section_lists import find_sections, look_through
-from jaxtissue.sections.cells import RULE, plan_layers
+from jaxtissue.sections.cells import RULE, Layers, plan_layers
 
 LAYERS = plan_layers(2, check=False)  # on which lists are proved; the surfaces are among them
-MANY_LAYERS = plan_layers(8, check=False)  # bent backbones that are near each other on some layer need not be on others
+MANY = 8  # layers for bent backbones: those near each other on some layer need not be on others
+
+
+def _layers(positions: np.ndarray, domain: Domain) -> Layers:
+    return LAYERS if positions.ndim == 2 else plan_layers(MANY, False, bends_of(positions, domain))
 
 
 class SectionNeighbors(eqx.Module):
@@ -62,7 +67,7 @@ class SectionNeighbors(eqx.Module):
             ValueError: If a position is not finite, lies outside the domain, or coincides with another.
         """
         place = as_domain_positions(positions, domain, bent=True)
-        found = find_sections(domain, place, LAYERS if place.ndim == 2 else MANY_LAYERS)
+        found = find_sections(domain, place, _layers(place, domain))
         if found.unproved:
             told = f"neighbors may be missing at {found.unproved} corners of cells, so energies may be wrong"
             warnings.warn(f"{told}; use more cells", stacklevel=5)
@@ -87,7 +92,7 @@ class SectionNeighbors(eqx.Module):
                 f"neighbor lists on a {type(self.domain).__name__} are checked on the host; call covers outside of jit"
             )
         place = np.asarray(as_rows(positions, self.domain.columns, len(self), bent=True))
-        layers, rule = LAYERS if place.ndim == 2 else MANY_LAYERS, RULE._replace(slots=self.slots)
+        layers, rule = _layers(place, self.domain), RULE._replace(slots=self.slots)
         found, pairs = look_through(self.domain, place, np.asarray(self.candidates).T, layers, rule)
         return not len(pairs) and found.rule == rule
 

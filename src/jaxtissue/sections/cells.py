@@ -26,8 +26,8 @@ class Layers(eqx.Module):
     The last two layers are the apical and the basal surface, of weight 0.
     """
 
-    heights: Float[np.ndarray, " layers"]
-    weights: Float[np.ndarray, "rules layers"]
+    heights: Float[Array | np.ndarray, " layers"]
+    weights: Float[Array | np.ndarray, "rules layers"]
 
 
 class CellSizes(NamedTuple):
@@ -56,19 +56,23 @@ class CellSizes(NamedTuple):
     doubt: tuple[Array, Array]
 
 
-def plan_layers(count: int, check: bool = True) -> Layers:
-    """Gauss-Legendre layers, and then, for the error estimate, those of one layer less."""
-    heights, weights = [], []
-    for layers in (count, count - 1) if check and count > 1 else (count,):
+def plan_layers(count: int, check: bool = True, bends: Float[Array | np.ndarray, " k"] | None = None) -> Layers:
+    """Gauss-Legendre layers, and then, for the error estimate, those of one layer less.
+
+    At the heights of bends, sizes per height have kinks: so each part between two of them has layers of its own, one
+    more than its share of the count.
+    """
+    bends = np.zeros(0) if bends is None else bends
+    xp, parts = (jnp if isinstance(bends, jax.Array) else np), len(bends) + 1
+    low, high = xp.append(0.0, bends), xp.append(bends, 1.0)
+    each, heights, weights = -(-count // parts) + (parts > 1), [], []
+    for layers in (each, each - 1) if check and each > 1 else (each,):
         place, weight = np.polynomial.legendre.leggauss(layers)
-        heights.append((place + 1) / 2)
-        weights.append(weight / 2)
-    total = sum(map(len, heights)) + 2
-    table, first = np.zeros((len(heights), total)), 0
-    for row, weight in zip(table, weights, strict=True):
-        row[first : first + len(weight)] = weight
-        first += len(weight)
-    return Layers(np.concatenate([*heights, [0.0, 1.0]]), table)
+        heights.append((low[:, None] + (high - low)[:, None] * (place + 1) / 2).ravel())
+        weights.append(((high - low)[:, None] * weight / 2).ravel())
+    none = [xp.zeros_like(weight) for weight in weights]
+    rows = [xp.concatenate([*none[:k], weight, *none[k + 1 :], np.zeros(2)]) for k, weight in enumerate(weights)]
+    return Layers(xp.concatenate([*heights, np.array([0.0, 1.0])]), xp.stack(rows))
 
 
 def cell_view(

@@ -12,6 +12,7 @@ from jaxtissue.compilation.modes import double_precision
 from jaxtissue.geometry.array_likes import PositionsLike
 from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.geometry.domains import Domain
+from jaxtissue.geometry.nodes import bends_of
 from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.measurement.quadrature import Resolution, section_layers
 from jaxtissue.neighbors.section_lists import Measured, crowd_of, find_sections
@@ -33,7 +34,7 @@ def measure_domain_tissue(
 ) -> CellGeometry:
     """Measure every cell of a tissue on any domain, as `measure_tissue` says."""
     place = as_domain_positions(positions, domain, bent=True)
-    layers = plan_layers(section_layers(resolution))
+    layers = plan_layers(section_layers(resolution), bends=bends_of(place, domain))
     found = find_sections(domain, place, layers, THOROUGH)
     sizes, defect = jax.tree.map(jnp.asarray, found.sizes), tiling_defect(domain, found)
     errors = told_errors(domain, found, defect) if refine else [None, None]
