@@ -130,6 +130,23 @@ def test_positions_are_wrapped_or_refused_by_direction():
     np.testing.assert_array_equal(as_domain_positions(table, jt.Slab(4, 3, 2)), [[1, 1], [2, 1]])
 
 
+@pytest.mark.parametrize(
+    ("positions", "domain"),
+    [
+        ([[0, 0, 1]], jt.Sphere(1, 1.5)),
+        ([[[0, 0, 1], [1, 0, 0], [0, 1, 0]]], jt.Sphere(1, 1.5)),
+        ([[1, 1]], jt.BentTube(5, 2 * PI, 1, 2)),
+        ([[[1, 1], [3, 2]]], jt.Slab(4, 3, 1)),
+    ],
+)
+def test_one_cell_fills_the_tissue(positions, domain):
+    cells = jt.measure_tissue(positions, domain)
+    sizes = [cells.volume, cells.apical_area, cells.basal_area, cells.lateral_area, cells.apical_perimeter]
+    wanted = [domain.volume, domain.apical_area, domain.basal_area, 0, 0]
+    np.testing.assert_allclose(np.ravel(sizes), np.array(wanted, float), rtol=1e-6)  # single precision
+    assert np.asarray(cells.touches_end).tolist() == [isinstance(domain, jt.Slab)]
+
+
 def test_a_sphere_has_the_cells_of_the_spherical_diagram():
     """The bars of `standard`, V 0.05 % and A 0.2 %, and mean neighbors 6 - 12 / n on every layer.
 

@@ -169,6 +169,7 @@ def _descend(
     here = energy.renewed(energy.placed(positions))
     if not np.isfinite(here.energy):
         cure = "separate backbones that coincide, or anneal a few sweeps first"
+        cure = cure if len(positions) > 1 else "one cell alone has no walls that could move, so give more cells"
         raise ValueError(f"the energy or its gradient is not finite at the start; {cure}")
     least, before = tolerance * float(np.linalg.norm(here.gradient)), np.inf
     for step in range(steps + 1):

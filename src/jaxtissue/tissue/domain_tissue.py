@@ -34,6 +34,8 @@ def measure_domain_tissue(
 ) -> CellGeometry:
     """Measure every cell of a tissue on any domain, as `measure_tissue` says."""
     place = as_domain_positions(positions, domain, bent=True)
+    if len(place) == 1 and len(domain.base.images()) == 1:
+        return _whole(domain, surfaces, refine)
     layers = plan_layers(section_layers(resolution), bends=bends_of(place, domain))
     found = find_sections(domain, place, layers, THOROUGH)
     sizes, defect = jax.tree.map(jnp.asarray, found.sizes), tiling_defect(domain, found)
@@ -51,6 +53,24 @@ def measure_domain_tissue(
     for message in section_doubts(cells, found) if refine else ():
         warnings.warn(message, stacklevel=4)
     return cells
+
+
+def _whole(domain: Domain, surfaces: bool, refine: bool) -> CellGeometry:
+    """The one cell of a tissue that is not repeated, wherever its backbone is: all of the domain, without walls."""
+
+    def one(size: float | Array) -> Array:
+        return jnp.asarray([size], float)
+
+    volume, none = one(domain.volume), one(0)
+    return CellGeometry(
+        volume,
+        none,
+        *((one(domain.apical_area), one(domain.basal_area), none, none) if surfaces else [None] * 4),
+        touches_end=jnp.asarray([domain.base.is_end().any()]),
+        volume_error=FLOOR[0] * volume if refine else None,
+        lateral_area_error=none if refine else None,
+        tiling_defect=none[0],
+    )
 
 
 def told_errors(domain: Domain, found: Measured, defect: float) -> list[Array]:
