@@ -23,7 +23,7 @@ from jaxtissue.pictures.scenes import draw_bodies, draw_cells, draw_tissue, save
 from jaxtissue.runs import formats
 from jaxtissue.runs.formats import picture_name
 from jaxtissue.runs.pages import write_page
-from jaxtissue.runs.plots import Tissue, plot_surfaces, save_figure
+from jaxtissue.runs.plots import Tissue, plot_surfaces, save_figure, unrolls
 from jaxtissue.system.extras import optional
 
 LOOKED_AT = 1e-4  # the tolerance of meshes that are only looked at
@@ -164,7 +164,7 @@ def _draw_internal(tissue: TissueRecord, path: Path, cell: int | None) -> None:
 
 
 def _draw_surfaces(tissue: TissueRecord, path: Path, cell: int | None) -> None:
-    shown = Tissue("unrolled", tissue.positions, tissue.columns["volume"])
+    shown = Tissue("unrolled" if unrolls(tissue.domain) else "", tissue.positions, tissue.columns["volume"])
     save_figure(path, partial(plot_surfaces, tissue.domain, [shown]))
 
 
