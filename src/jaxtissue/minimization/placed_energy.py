@@ -5,6 +5,7 @@ from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -58,10 +59,9 @@ class PlacedEnergy:
         stalled: Relative decrease of the energy between two checks that is none.
     """
 
-    stalled = 1e-7
-
     def __init__(self, model: Model, units: Float[np.ndarray, " d"], width: float) -> None:
         self.model, self.units, self.width = model, units, width
+        self.stalled = 1e-7 if jnp.result_type(float) == jnp.float32 else 1e-12
         self.evaluations, self.compiling = 0, 0.0
         self._known: set[Hashable] = set()
         self._begin = time.perf_counter()

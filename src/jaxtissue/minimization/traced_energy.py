@@ -117,14 +117,13 @@ def _by_sizes() -> Callable[..., Any]:
 class TracedEnergy(PlacedEnergy):
     """The energy of a tissue in a tube by traced sizes, as a function of places in lengths, in 64 bits."""
 
-    stalled = 1e-13
-
     def __init__(self, model: Model, cells: int) -> None:
         check_traceable(model)
         tube = model.tube
         units = np.array([1.0, (float(tube.apical_radius) + float(tube.basal_radius)) / 2])
         width = (2 * np.pi * units[1] * float(tube.length) / cells) ** 0.5
         super().__init__(in_precision(model, np.float64), units, width)
+        self.stalled = 1e-13  # whatever the session's precision
 
     def positions(self, place: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """(axial, angle) of the backbones, in 64 bits."""

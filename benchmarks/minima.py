@@ -1,0 +1,76 @@
+"""Whether relaxed tissues are at minima: the gradient that is left, or kinks of the energy where walls open and close.
+
+    python benchmarks/minima.py [--cells 100 500]
+
+Tissues are relaxed by Lloyd's method and L-BFGS in 64 bits. Where the gradient that is left is not small, the energy
+may have a kink there, with other gradients on its other sides. Then the tissue is at a minimum if some mean of the
+gradients around it is zero (gradient sampling: Burke, Lewis and Overton, SIAM J. Optim. 15, 751, 2005). The script
+takes the gradients at random places very near, and finds the norm of their smallest mean, beside the number of walls
+that are nearly closed. Norms are parts of that at the start. Writes benchmarks/results/minima.json.
+"""
+
+from typing import Any
+
+import common
+import jax
+import numpy as np
+from relaxation import tissues
+from scipy.optimize import nnls
+
+import jaxtissue as jt
+from jaxtissue.minimization.relaxation import _placed
+
+NEAR = 1e-7  # mean cell widths round the tissue
+SAMPLES = 400
+SHORT = 1e-3  # of the square of a cell's width
+WEIGHT = 1e3  # of the condition that a mean's weights add up to 1
+
+
+def smallest_mean(gradients: np.ndarray) -> float:
+    """The least norm of the weighted means of gradients, [samples, n]."""
+    size = np.linalg.norm(gradients[0])
+    rows = np.vstack([gradients.T / size, np.full(len(gradients), WEIGHT)])
+    weights, _ = nnls(rows, np.append(np.zeros(gradients.shape[1]), WEIGHT))
+    return float(np.linalg.norm(weights / weights.sum() @ gradients))
+
+
+def minimum(name: str, domain: Any, cells: int) -> dict[str, Any]:
+    """Relax a random tissue, and look round where it ends."""
+    model = jt.tube_model(domain, cells)
+    resolution = "traced" if isinstance(domain, jt.Tube) else "2x1"  # two layers are enough for walls of columns
+    place = jt.relax(np.asarray(domain.random_positions(jax.random.key(0), cells)), model, "lloyd", steps=2).positions
+    if resolution == "traced":
+        place = jt.relax(place, model, resolution="standard", steps=40).positions
+    found = jt.relax(place, model, resolution=resolution, steps=200, tolerance=1e-9)
+    first, last = (found.history[k].gradient for k in (0, -1))
+    energy = _placed(model, found.positions, resolution)  # as `relax` makes it
+    here, random = energy.placed(found.positions), np.random.default_rng(0)
+    energy.renew(here)
+    around = [here, *(here + NEAR * energy.width * random.normal(size=here.shape) for _ in range(SAMPLES))]
+    gradients = np.stack([energy(place).gradient.ravel() for place in around])
+    spread = np.linalg.norm(gradients - gradients[0], axis=1).max()
+    contacts = jt.find_connectivity(found.positions, domain)
+    return {
+        "tissue": name,
+        "cells": cells,
+        "steps": len(found.history) - 1,
+        "message": found.message,
+        "gradient": last / first,
+        "spread": float(spread / first),
+        "smallest_mean": smallest_mean(gradients) / first,
+        "short_walls": int((np.asarray(contacts.contacts.area) < SHORT * float(model.mean_volume) ** (2 / 3)).sum()),
+    }
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    parser = common.options((__doc__ or "").split("\n")[0], "minima")
+    parser.add_argument("--cells", type=int, nargs="+", default=[100, 500])
+    parser.add_argument("--tissues", nargs="+", default=["sphere", "slab"])
+    options = parser.parse_args()
+    rows = []
+    for cells in options.cells:
+        for name in options.tissues:
+            rows.append(minimum(name, tissues(cells)[name], cells))
+            print(rows[-1], flush=True)
+            common.write(options.out, {"samples": SAMPLES, "near": NEAR, "rows": rows})
