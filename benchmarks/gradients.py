@@ -6,8 +6,10 @@ For random directions of all backbones but those next to an end: the cosine of t
 differences, of the volume term of the paper's energy and of the sum of all lateral areas. True sizes are those of the
 traced edges on reference tubes, and elsewhere those of sections on 80 layers, five passes and three steps of Newton's
 method. The steps are short: on a sphere or a slab, neighbors are exchanged on all layers at once, which gives the area
-a kink. Times are the processor's, so that other work on the machine counts little; those of "traced" lack the tracing,
-since edges are kept. Writes benchmarks/results/gradients.json. Pin it to one core: `taskset -c 0`.
+a kink. On the bent tube they are longer, since sections jump a little where edges come and go, and differences over
+short steps would show that. Times are the processor's, so that other work on the machine counts little; those of
+"traced" lack the tracing, since edges are kept. Writes benchmarks/results/gradients.json. Pin it to one core:
+`taskset -c 0`.
 """
 
 import os
@@ -28,7 +30,7 @@ from jaxtissue.topology.traced_sizes import trace_sizes
 
 NAMES = ("paper_Ra5", "ratio10_n100", "bluenoise_ratio10")
 CELLS = 200  # on other domains
-DIRECTIONS, STEP = 8, 2e-4  # the step is a length, of all backbones together
+DIRECTIONS, STEP, STEPS = 8, 2e-4, {"bent tube": 5e-3}  # steps are lengths, of all backbones together
 MANY = plan_layers(80, check=False)
 ENERGIES = {"volume": jt.volume_elasticity, "lateral_area": jt.lateral_tension}
 
@@ -67,11 +69,11 @@ def moved(place: np.ndarray, way: np.ndarray, domain: Any) -> np.ndarray:
     return there / np.linalg.norm(there, axis=1, keepdims=True) if place.shape[1] == 3 else there
 
 
-def is_inner(place: np.ndarray, domain: Any) -> np.ndarray:
+def is_inner(place: np.ndarray, domain: Any, length: float) -> np.ndarray:
     """Which backbones stay within the domain, whichever way they go by a step."""
     if place.shape[1] == 3:
         return np.ones(len(place), bool)
-    ends = [place + sign * STEP for sign in (1, -1)]
+    ends = [place + sign * length for sign in (1, -1)]
     return np.all([np.abs(np.asarray(domain.reflect(end)) - end).max(axis=1) < 1e-9 for end in ends], axis=0)
 
 
@@ -80,14 +82,16 @@ def measured(name: str, domain: Any, place: np.ndarray, energy: str, sizes: tupl
     model = jt.tube_model(domain, len(place), tension=1.0, cell_energy=ENERGIES[energy])
     neighbors, ways, expected = jt.NeighborList.allocate(place, domain), [], []
     units = np.array([1, float(domain.basal_radius)]) if isinstance(domain, jt.Tube) else 1.0
+    length = STEPS.get(name, STEP)
+    inner = is_inner(place, domain, length)[:, None]
     for seed in range(DIRECTIONS):
-        way = np.where(is_inner(place, domain)[:, None], np.random.default_rng(seed).normal(size=place.shape), 0)
+        way = np.where(inner, np.random.default_rng(seed).normal(size=place.shape), 0)
         if place.shape[1] == 3:
             way -= (way * place).sum(axis=1, keepdims=True) * place
         ways.append(way / np.linalg.norm(way) / units)
-        ends = [true_sizes(moved(place, step * ways[-1], domain), domain) for step in (STEP, -STEP)]
+        ends = [true_sizes(moved(place, step * ways[-1], domain), domain) for step in (length, -length)]
         high, low = (float(ENERGIES[energy](end, model).sum()) for end in ends)
-        expected.append((high - low) / (2 * STEP))
+        expected.append((high - low) / (2 * length))
     rows = []
     for size in sizes:
 
@@ -98,7 +102,7 @@ def measured(name: str, domain: Any, place: np.ndarray, energy: str, sizes: tupl
         gradient = np.asarray(both(jnp.asarray(place))[1])
         found = [(gradient * way).sum() for way in ways]
         cosine = np.dot(found, expected) / np.linalg.norm(found) / np.linalg.norm(expected)
-        row = {"tissue": name, "resolution": size, "energy": energy, "cosine": float(cosine)}
+        row = {"tissue": name, "resolution": size, "energy": energy, "step": length, "cosine": float(cosine)}
         print(row, flush=True)
         times = [median_seconds(function, jnp.asarray(place)) for function in (jax.jit(value), both)]
         rows.append(row | {"energy_seconds": times[0], "with_gradient_seconds": times[1]})
