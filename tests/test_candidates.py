@@ -286,3 +286,17 @@ def test_all_around_a_cell_are_those_listed_either_way(tissue) -> None:
     ring = listed(around(few))
     one_way = listed(few) > 0
     np.testing.assert_array_equal(ring, one_way | one_way.T)  # and nobody twice
+
+
+def test_a_far_neighbor_of_cells_crowded_in_a_band_is_listed():
+    """In a tube with a narrow lumen, cell 50 reaches cell 24 between wide-set lines: a tenth of a cell is behind it."""
+    draw = np.random.default_rng([77, 2, 5])
+    tube = Tube(10 ** draw.uniform(0.7, 2.3), 10.0 / 10 ** draw.uniform(0.05, 2), 10.0)
+    middles, width = draw.random(int(draw.integers(1, 4))), 10 ** draw.uniform(-2.5, -1)
+    share = middles[draw.integers(len(middles), size=96)] + width * draw.normal(size=96)
+    free = draw.random(96) < 0.15
+    share[free] = draw.random(free.sum())
+    share = np.abs(share) % 2
+    share = np.where(share > 1, 2 - share, share)
+    place = np.stack([float(tube.length) * share, 2 * np.pi * draw.random(96)], axis=1).astype(np.float32)
+    assert 24 in find_candidates(place, tube)[50] and 50 in find_candidates(place, tube)[24]

@@ -231,12 +231,12 @@ def pad_lists(lists: Int[np.ndarray, "n ... candidates"], width: int) -> Int[np.
 
 
 def check_angles(tube: Tube, cells: int) -> Float[np.ndarray, "layers lines"]:
-    """The angles of the lines of `tiling_defect`: 16 in each of 5 layers, more where more cells are around.
+    """The angles of the lines of `tiling_defect`: 64 in each of 5 layers, more where more cells are around.
 
-    Layers stand between each other, so that together there are two lines for each basal cell width.
+    Layers stand between each other, so that together there are eight lines or more for each basal cell width.
     """
     around = math.sqrt(2 * math.pi * float(tube.basal_radius) * cells / float(tube.length))
-    lines = 16 * math.ceil(2 * around / (5 * 16))
+    lines = 64 * math.ceil(2 * around / (5 * 16))
     between = np.array([0.0, 0.4, 0.8, 0.2, 0.6])
     return (0.123 + 2 * math.pi / lines * (np.arange(lines) + between[:, None])).astype(np.float32)
 
