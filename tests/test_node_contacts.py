@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from bent_tissues import evenly_bent
 from known import known
 
 import jaxtissue as jt
 from jaxtissue.diagram.nearest import Crowd
-from jaxtissue.geometry.domain_positions import as_domain_positions
 
 pytestmark = pytest.mark.filterwarnings("ignore:the areas of .* walls may be wrong")
 CELLS = 40
@@ -14,26 +14,12 @@ SLAB = jt.Slab(6, 5, 1.5, periodic=(True, True))
 SHEET, BALL, PIPE = jt.Slab(6, 5, 1.5), jt.Sphere(1, 1.5), jt.BentTube(8, 1.5, 1.5, 3)
 
 
-def bent(domain, nodes: int, way: float) -> np.ndarray:
-    """Backbones spread evenly, whose nodes are off by a part of the tissue's width, each by its own random way."""
-    number, random = np.arange(CELLS), np.random.default_rng(1)
-    if domain is BALL:
-        z, turn = 1 - (2 * number + 1) / CELLS, number * np.pi * (3 - np.sqrt(5))
-        place = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)[:, None]
-        return as_domain_positions(place + random.uniform(-way, way, (CELLS, nodes, 3)), domain, float, bent=True)
-    row, column = np.divmod(number, 5)
-    place = np.stack([(row + 0.5) / 8, (column + 0.25 + row % 2 / 2) / 5], axis=1)[:, None]
-    place = np.clip(place + random.uniform(-way, way, (CELLS, nodes, 2)), 0.01, 0.99)
-    extent = [float(side) for side in domain.base.extent]
-    return as_domain_positions(place * extent, domain, float, bent=True)
-
-
 CASES = {
-    "tilted": (SLAB, bent(SLAB, 2, 0.08)),
-    "bent": (SLAB, bent(SLAB, 3, 0.05)),
-    "sheet": (SHEET, bent(SHEET, 3, 0.05)),
-    "ball": (BALL, bent(BALL, 3, 0.15)),
-    "pipe": (PIPE, bent(PIPE, 3, 0.02)),
+    "tilted": (SLAB, evenly_bent(SLAB, CELLS, 2, 0.08)),
+    "bent": (SLAB, evenly_bent(SLAB, CELLS, 3, 0.05)),
+    "sheet": (SHEET, evenly_bent(SHEET, CELLS, 3, 0.05)),
+    "ball": (BALL, evenly_bent(BALL, CELLS, 3, 0.15)),
+    "pipe": (PIPE, evenly_bent(PIPE, CELLS, 3, 0.02)),
 }
 
 

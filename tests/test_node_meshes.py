@@ -10,13 +10,13 @@ import pytest
 import pyvista
 import tifffile
 import trimesh
+from bent_tissues import evenly_bent
 from matplotlib.image import imread
 
 import jaxtissue as jt
 from jaxtissue.cli.commands import main
 from jaxtissue.exports.tissue_record import TissueRecord
 from jaxtissue.geometry.domain_files import save_domain
-from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.measurement.cell_geometry import SIZES
 from jaxtissue.meshes.cell_meshes import CellMeshes, mesh_cells
 from jaxtissue.runs import formats, storage
@@ -27,20 +27,11 @@ SLAB, BALL, TUBE = jt.Slab(6, 5, 1.5, periodic=(True, True)), jt.Sphere(1, 1.5),
 PIPE = jt.RoundTube(6, 1, 2)
 
 
-def bent(domain, nodes: int, way: float) -> np.ndarray:
-    """Backbones spread evenly, whose nodes are off by a part of the tissue's width, each by its own random way."""
-    number, random = np.arange(CELLS), np.random.default_rng(1)
-    if domain is BALL:
-        z, turn = 1 - (2 * number + 1) / CELLS, number * np.pi * (3 - np.sqrt(5))
-        place = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)[:, None]
-        return as_domain_positions(place + random.uniform(-way, way, (CELLS, nodes, 3)), domain, float, bent=True)
-    row, column = np.divmod(number, 5)
-    place = np.stack([(row + 0.5) / 6, (column + 0.25 + row % 2 / 2) / 5], axis=1)[:, None]
-    place = np.clip(place + random.uniform(-way, way, (CELLS, nodes, 2)), 0.01, 0.99)
-    return as_domain_positions(place * [float(side) for side in domain.base.extent], domain, float, bent=True)
-
-
-CASES = {"slab": (SLAB, bent(SLAB, 3, 0.06)), "ball": (BALL, bent(BALL, 3, 0.15)), "tube": (TUBE, bent(PIPE, 2, 0.04))}
+CASES = {
+    "slab": (SLAB, evenly_bent(SLAB, CELLS, 3, 0.06)),
+    "ball": (BALL, evenly_bent(BALL, CELLS, 3, 0.15)),
+    "tube": (TUBE, evenly_bent(PIPE, CELLS, 2, 0.04)),
+}
 
 
 def walls(meshes: CellMeshes) -> dict[tuple[int, int], float]:
@@ -87,7 +78,7 @@ def test_upright_backbones_by_their_nodes_have_the_meshes_of_straight_ones():
 
 def test_backbones_that_nearly_cross_have_right_meshes_and_are_named(tmp_path):
     """A hundred thousand points for each cell are counted: right to 1 % at three standard deviations."""
-    place = bent(BALL, 2, 0.4)
+    place = evenly_bent(BALL, CELLS, 2, 0.4)
 
     def measure(*_):
         """Sizes of which one is off by 4 % of the mean volume, and one by 2 %."""
