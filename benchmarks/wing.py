@@ -1,16 +1,19 @@
 """The contacts of a fly's wing layer by layer: bent backbones through measured centers against measured contacts.
 
-    python benchmarks/wing.py FOLDER [--pixel 0.06] [--nodes 2 3 5 0] [--layers 10] [--out FILE]
+    python benchmarks/wing.py FOLDER [--pixel 0.03 0.06 0.12] [--nodes 2 3 5 0] [--out FILE]
 
 FOLDER holds `wing_1_cells.csv.gz` (layer, cell, x, y, area; pixels of an image of 512 x 512, layers 0.5 um apart) and
 `wing_1_contacts.csv.gz` (layer, two cells, shares of their perimeters), and those of wing 3. The size of a pixel is not
-in the data: cells of 1.5 to 3 um are usual there. So many nodes are taken from as many layers, 0 for all, and contacts
-are compared on so many layers. Inner cells are those with neighbors all round on every layer.
+in the data: cells of 1.5 to 3 um are usual there. So many nodes are taken from as many layers, 0 for all. All layers
+are compared.
+
+Inner cells touch the border of the image on no layer: their centers are farther from it than the radius of a disk of
+their area. The others are cut off: neighbors of theirs are not seen, and their centers are those of the part that is.
 """
 
 import gzip
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import common
 import numpy as np
@@ -24,7 +27,17 @@ from jaxtissue.sections.contacts import layer_contacts
 
 IMAGE, GAP = 512.0, 0.5  # pixels, um
 LEAST = 0.02  # of a perimeter: what is shorter is no contact
-FULL = 0.97  # of a perimeter that contacts with cells must make up for inner cells
+AT_ONCE = 15  # layers whose sections are made together: more need more memory
+LASTING = 1, 2, 3, 5  # layers on which neighbors are to touch at least
+
+
+class Wing(NamedTuple):
+    """What was measured."""
+
+    centers: np.ndarray  # [layers, n, 2]
+    share: np.ndarray  # of the perimeter of each cell, [layers, n, n]
+    seen: np.ndarray  # whether a cell is seen on a layer, [layers, n]
+    inner: np.ndarray  # [n]
 
 
 def read(path: Path) -> np.ndarray:
@@ -33,46 +46,54 @@ def read(path: Path) -> np.ndarray:
         return np.loadtxt(file, delimiter=",", skiprows=1)
 
 
-def measured(folder: Path, wing: int) -> tuple[np.ndarray, np.ndarray]:
-    """The centers of the cells, [layers, n, 2], and the shares of their perimeters, [layers, n, n]."""
+def measured(folder: Path, wing: int) -> Wing:
+    """The cells that are seen on any layer; on others they keep the place of the nearest one."""
     cells, contacts = (read(folder / f"wing_{wing}_{what}.csv.gz") for what in ("cells", "contacts"))
     layer, cell = cells[:, :2].astype(int).T
-    centers = np.zeros((layer.max() + 1, cell.max() + 1, 2))
-    centers[layer, cell] = cells[:, 2:4]
-    is_there = centers.any(axis=2)  # 0, 0 where a cell is not seen
-    some = np.flatnonzero(is_there.any(axis=0))
-    for k, seen in zip(some, is_there.T[some], strict=True):
-        for axis in (0, 1):
-            centers[:, k, axis] = np.interp(np.arange(len(seen)), np.flatnonzero(seen), centers[seen, k, axis])
-    share = np.zeros((*centers.shape[:2], centers.shape[1]))
+    shape = layer.max() + 1, cell.max() + 1
+    centers, area, share = np.zeros((*shape, 2)), np.zeros(shape), np.zeros((*shape, shape[1]))
+    centers[layer, cell], area[layer, cell] = cells[:, 2:4], cells[:, 4]
     layer, a, b = contacts[:, :3].astype(int).T
     share[layer, b, a], share[layer, a, b] = contacts[:, 3:].T
-    return centers[:, some], share[:, some][:, :, some]
+    seen = area > 0
+    some = np.flatnonzero(seen.any(axis=0))
+    for k in some:
+        for axis in (0, 1):
+            there = np.flatnonzero(seen[:, k])
+            centers[:, k, axis] = np.interp(np.arange(len(seen)), there, centers[there, k, axis])
+    room = np.minimum(centers, IMAGE - centers).min(axis=2)
+    inner = (seen & (room > np.sqrt(area / np.pi))).all(axis=0)
+    return Wing(centers[:, some], share[:, some][:, :, some], seen[:, some], inner[some])
 
 
-def by_sections(centers: np.ndarray, nodes: int, pixel: float, shown: np.ndarray) -> np.ndarray:
-    """The shares of perimeters of the cells of bent backbones, on the layers that are shown."""
+def by_sections(centers: np.ndarray, nodes: int, pixel: float) -> np.ndarray:
+    """The shares of perimeters of the cells of bent backbones on all layers."""
     layers, n = centers.shape[:2]
     unit = IMAGE / np.sqrt(n)
     slab = jt.Slab(IMAGE / unit, IMAGE / unit, (layers - 1) * GAP / pixel / unit)
     taken = np.round(np.linspace(0, layers - 1, nodes or layers)).astype(int)
     height = np.broadcast_to(taken / (layers - 1), (n, len(taken)))[..., None]
     place = np.concatenate([centers[taken].transpose(1, 0, 2) / unit, height], axis=2)
-    heights = np.append(shown / (layers - 1), [0.0, 1.0])
-    plan = Layers(heights, np.ones((1, len(heights))))
-    found = find_sections(slab, as_domain_positions(place, slab, bent=True), plan, RULE)
-    contacts = layer_contacts(found.sections, found.lists)
-    length = np.zeros((len(heights), n, n))
-    length[contacts.layer, *contacts.pairs.T] = contacts.length
-    length += length.transpose(0, 2, 1)
-    print(f"  unproved corners {found.unproved}, cut cells {int(np.asarray(found.sizes.is_cut).sum())}", flush=True)
-    return (length / np.maximum(length.sum(axis=2, keepdims=True), 1e-12))[:-2]
+    backbones, shares = as_domain_positions(place, slab, bent=True), []
+    for first in range(0, layers, AT_ONCE):
+        heights = np.minimum(np.arange(first, first + AT_ONCE) / (layers - 1), 1)
+        plan = Layers(np.append(heights, [0.0, 1.0]), np.ones((1, AT_ONCE + 2)))
+        found = find_sections(slab, backbones, plan, RULE)
+        contacts, length = layer_contacts(found.sections, found.lists), np.zeros((AT_ONCE + 2, n, n))
+        length[contacts.layer, *contacts.pairs.T] = contacts.length
+        length += length.transpose(0, 2, 1)
+        shares.append((length / np.maximum(length.sum(axis=2, keepdims=True), 1e-12))[:-2])
+        lacking = found.unproved, int(np.asarray(found.sizes.is_cut).sum())
+        if any(lacking):
+            print(f"  layers from {first}: unproved corners {lacking[0]}, cut cells {lacking[1]}", flush=True)
+    return np.concatenate(shares)[:layers]
 
 
-def of_centers(centers: np.ndarray) -> np.ndarray:
-    """The same for the plane diagrams of the centers alone."""
+def of_centers(centers: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """The same for the plane diagrams of the centers alone, of the cells that are seen."""
     share = np.zeros((*centers.shape[:2], centers.shape[1]))
-    for place, table in zip(centers, share, strict=True):
+    for place, there, table in zip(centers, map(np.flatnonzero, seen), share, strict=True):
+        place = place[there]
         mirrored = [
             place,
             place * [-1, 1],
@@ -81,22 +102,39 @@ def of_centers(centers: np.ndarray) -> np.ndarray:
             [0, 2 * IMAGE] + place * [1, -1],
         ]
         diagram = Voronoi(np.concatenate(mirrored))
-        for (a, b), ends in zip(diagram.ridge_points, diagram.ridge_vertices, strict=True):
-            if max(a, b) < len(place) and -1 not in ends:
+        for pair, ends in zip(diagram.ridge_points, diagram.ridge_vertices, strict=True):
+            if max(pair) < len(place) and -1 not in ends:
+                a, b = there[pair]
                 table[a, b] = table[b, a] = np.linalg.norm(np.subtract(*diagram.vertices[ends]))
         table /= np.maximum(table.sum(axis=1, keepdims=True), 1e-12)
     return share
 
 
-def compared(share: np.ndarray, truth: np.ndarray, inner: np.ndarray) -> dict[str, float]:
-    """F1 of contacts of inner cells, pooled over layers, and their neighbors on any of the layers."""
-    found, true = (np.maximum(table, table.transpose(0, 2, 1)) > LEAST for table in (share, truth))
-    chosen = inner[:, None] & inner
-    both = (found & true)[:, chosen].sum()
+def contacts_of(share: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Which cells touch on each layer, of those that are seen there."""
+    return (np.maximum(share, share.transpose(0, 2, 1)) > LEAST) & seen[:, :, None] & seen[:, None]
+
+
+def lasting(touching: np.ndarray, inner: np.ndarray) -> list[float]:
+    """The mean numbers of neighbors of inner cells on at least so many layers."""
+    layers = touching.sum(axis=0)[inner]
+    return [float((layers >= least).sum(axis=1).mean()) for least in LASTING]
+
+
+def compared(share: np.ndarray, wing: Wing) -> dict[str, Any]:
+    """F1 of contacts, pooled over layers, and the neighbors of inner cells."""
+    found, true, inner = contacts_of(share, wing.seen), contacts_of(wing.share, wing.seen), wing.inner
+
+    def score(chosen: np.ndarray) -> float:
+        return float(2 * (found & true)[:, chosen].sum() / (found[:, chosen].sum() + true[:, chosen].sum()))
+
+    layers, missing = true.sum(axis=0)[inner], ~found.any(axis=0)[inner]
     return {
-        "f1": float(2 * both / (found[:, chosen].sum() + true[:, chosen].sum())),
-        "neighbors": float(found.any(axis=0)[inner].sum(axis=1).mean()),
-        "measured_neighbors": float(true.any(axis=0)[inner].sum(axis=1).mean()),
+        "f1_of_pairs_of_inner_cells": score(inner[:, None] & inner),
+        "f1_of_all_contacts_of_inner_cells": score(np.broadcast_to(inner[:, None], true.shape[1:])),
+        "neighbors": lasting(found, inner),
+        "missing": float((missing & (layers > 0)).sum() / inner.sum()),
+        "missing_of_at_most_5_layers": float((missing & (layers > 0) & (layers <= 5)).sum() / inner.sum()),
     }
 
 
@@ -104,21 +142,25 @@ def main() -> None:
     """Compare both wings."""
     parser = common.options(__doc__ or "", "wing")
     parser.add_argument("folder", type=Path, help="folder of the tables")
-    parser.add_argument("--pixel", type=float, default=0.06, help="size of a pixel, um")
+    parser.add_argument("--pixel", type=float, nargs="+", default=[0.03, 0.06, 0.12], help="sizes of a pixel, um")
     parser.add_argument("--nodes", type=int, nargs="+", default=[2, 3, 5, 0], help="numbers of nodes, 0 for all")
-    parser.add_argument("--layers", type=int, default=10, help="layers that are compared")
     given = parser.parse_args()
-    results: dict[str, Any] = {"pixel": given.pixel, "layers": given.layers}
-    for wing in (1, 3):
-        centers, truth = measured(given.folder, wing)
-        shown = np.unique(np.round(np.linspace(0, len(centers) - 1, given.layers)).astype(int))
-        inner = (truth.sum(axis=2) > FULL).all(axis=0)
-        results[f"wing {wing}"] = row = {"cells": centers.shape[1], "inner": int(inner.sum())}
-        row["plane"] = compared(of_centers(centers[shown]), truth[shown], inner)
-        print(wing, row, flush=True)
-        for nodes in given.nodes:
-            row[str(nodes or "all")] = compared(by_sections(centers, nodes, given.pixel, shown), truth[shown], inner)
-            print(wing, nodes, row[str(nodes or "all")], flush=True)
+    results: dict[str, Any] = {"neighbors_on_at_least": LASTING}
+    for number in (1, 3):
+        wing = measured(given.folder, number)
+        results[f"wing {number}"] = row = {
+            "layers": len(wing.centers),
+            "cells": len(wing.inner),
+            "inner": int(wing.inner.sum()),
+            "measured_neighbors": lasting(contacts_of(wing.share, wing.seen), wing.inner),
+            "plane": compared(of_centers(wing.centers, wing.seen), wing),
+        }
+        print(number, row, flush=True)
+        for pixel in given.pixel:
+            for nodes in given.nodes:
+                name = f"pixel {pixel:g}, {nodes or 'all'} nodes"
+                row[name] = compared(by_sections(wing.centers, nodes, pixel), wing)
+                print(number, name, row[name], flush=True)
     common.write(given.out, results)
 
 
