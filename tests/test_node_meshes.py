@@ -78,7 +78,7 @@ def test_upright_backbones_by_their_nodes_have_the_meshes_of_straight_ones():
 
 def test_backbones_that_nearly_cross_have_right_meshes_and_are_named(tmp_path):
     """A hundred thousand points for each cell are counted: right to 1 % at three standard deviations."""
-    place = evenly_bent(BALL, CELLS, 2, 0.4)
+    place = evenly_bent(BALL, CELLS, 2, 0.6)
 
     def measure(*_):
         """Sizes of which one is off by 4 % of the mean volume, and one by 2 %."""
@@ -96,7 +96,7 @@ def test_backbones_that_nearly_cross_have_right_meshes_and_are_named(tmp_path):
     with pytest.warns(UserWarning) as told:
         assert "neighbors" not in tissue.columns
     contacts, volumes = (str(one.message) for one in told)
-    assert "contacts are not computed: the contacts of cells 6, 11" in contacts
+    assert "contacts are not computed: the contacts of cells 1, 2, 3" in contacts
     assert "volumes of 1 of 30 cells are not those of their meshes: cells 4 (" in volumes
     assert {tuple(pair) for pair in tissue.pairs.tolist()} == walls(tissue.meshes).keys()
     export_tissue(tissue, tmp_path, ["vtu", "stl"])

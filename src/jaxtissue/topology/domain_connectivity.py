@@ -68,7 +68,7 @@ def _find_transitions(gaps: LayerGaps, risen: Rise, walls: WallPoints) -> Transi
     lost = risen.unexplained + list(np.unique(np.sort(told, axis=1), axis=0))
     if lost:
         told = f"{len(lost)} neighbor changes of {cell_names(lost, n)} could not be resolved"
-        told += ", so contacts and transition points may be missing"
+        told += ", so contacts and transition points may be missing, and areas of their walls wrong"
         warnings.warn(f"{told}; use more cells, or separate backbones that nearly coincide or cross", stacklevel=4)
     per_cell = np.bincount(labels.ravel(), minlength=n)
     return Transitions(points, labels, per_cell, len(lost), flips.height[real])

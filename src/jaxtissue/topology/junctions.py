@@ -80,6 +80,24 @@ class Junctions:
         for t, far in ((row, other), (other, row)):
             self.beside[t, 1], self.side[t, 1], self.life[t, 1], self.since[t, 1] = far, 1, life, height
 
+    def renumber(self, before: "Junctions", free: int) -> tuple[list[Int[np.ndarray, " 2"]], int]:
+        """Give edges the numbers that those of the same two labels had before, or numbers from a free one on.
+
+        Returns the two labels of each edge that is new or gone, and the next free number.
+        """
+        known, changed = dict(zip(before._pairs(), before.life[before.edges()].tolist(), strict=True)), []
+        for pair, row, side in zip(self._pairs(), *self.edges(), strict=True):
+            life = known.pop(pair, free)
+            if life == free:
+                changed.append(pair)
+                free += 1
+            self.life[row, side] = self.life[self.beside[row, side], self.side[row, side]] = life
+        return [np.array(pair) for pair in [*changed, *known]], free
+
+    def _pairs(self) -> list[tuple[int, int]]:
+        """The two labels of each edge, the lower one first."""
+        return [(a, b) for a, b in np.sort(self.quads(*self.edges())[:, :2], axis=1).tolist()]
+
 
 def joined(labels: Int[np.ndarray, "t 3"], ways: Int[np.ndarray, "t 3"], twins: dict[int, int]) -> Junctions:
     """Junctions with the numbers of the ways from label k to k + 1, and of the ways back that there are.

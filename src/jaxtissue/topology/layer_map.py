@@ -2,8 +2,8 @@
 
 Two cells are taken to touch where the polygons of both say so. Walking round from cell to cell gives the junctions;
 where walls too short to be sure of are left out, more than three cells meet, and any of their diagonals is taken: the
-junctions are put right afterwards, by flips. Over a sphere, where walls may bend so much that their polygons make up no
-surface, `sampled_map` finds the map.
+junctions are put right afterwards, by flips. Where walls bend so much that their polygons make up no surface,
+`sampled_map` finds the map.
 """
 
 from typing import Any, NamedTuple
@@ -20,52 +20,36 @@ from jaxtissue.topology.sampled_map import sampled_map
 Base = Rectangle | UnitSphere
 SHORTEST = (0.0, 1e-6, 1e-4, 1e-2, 0.05)  # in mean widths: shorter walls are left out, until the map is one
 PASSES = (3, 2, 5, 8)  # of the polygons: long cells on narrow tubes may come out well by some of them alone
-ROUND = "use more cells, or a Tube, where cells may wrap around the lumen"
-
-
-def _names(base: Base, lists: Int[np.ndarray, "n q"], found: Polygons) -> Int[np.ndarray, "n l"]:
-    """What lies behind each line: the number of a backbone or of a copy, and -1 .. -4 for the limits.
-
-    Raises `ValueError` for cells that reach where they meet themselves.
-    """
-    n, q = lists.shape
-    names = np.concatenate([lists, np.tile(-1 - np.arange(4), (n, 1))], axis=1)
-    round_ = np.flatnonzero((found.is_edge[:, q:] & ~np.asarray(base.is_end())).any(axis=1))
-    if len(round_):
-        told = f"cell {round_[0]} wraps around the tissue, or nearly so"
-        raise ValueError(f"{told}, and its contacts can't be found; {ROUND}")
-    own = np.flatnonzero((found.is_edge[:, :q] & (lists % n == np.arange(n)[:, None])).any(axis=1))
-    if len(own):
-        raise ValueError(f"cell {own[0]} touches its own periodic image; make the period longer, or use more cells")
-    return names
 
 
 def first_map(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], height: float) -> Junctions:
     """The junctions of a layer, near to where they are. Raises `ValueError` where the cells make up no surface."""
-    junctions = _map_of_polygons(gaps, positions, height)
-    if isinstance(junctions, str):
-        if not isinstance(gaps.base, UnitSphere):
-            raise ValueError(junctions)
-        junctions = sampled_map(gaps, height)
+    junctions = _map_of_polygons(gaps, positions, height) or sampled_map(gaps, height)
     junctions.at[:], junctions.since[:] = height, height
     return junctions
 
 
-def _map_of_polygons(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], height: float) -> Junctions | str:
-    """The junctions of the polygons of a layer, or why these make up no surface."""
-    refusal = f"contacts can't be found: at height {height:g} the sections of the cells leave gaps or overlap; {ROUND}"
+def _map_of_polygons(gaps: LayerGaps, positions: Float[np.ndarray, "n d"], height: float) -> Junctions | None:
+    """The junctions of the polygons of a layer; None where these make up no surface."""
     for passes in PASSES:
         found, lists = complete_polygons(gaps, positions, height, passes)
-        try:
-            names = _names(gaps.base, lists, found)
-        except ValueError as error:  # after other passes it may be a cell like others
-            refusal = str(error)
+        if _meets_itself(gaps.base, lists, found):  # after other passes it may be a cell like others
             continue
+        n = len(lists)
+        # what lies behind each line: the number of a backbone or of a copy, and -1 .. -4 for the limits
+        names = np.concatenate([lists, np.tile(-1 - np.arange(4), (n, 1))], axis=1)
         for shortest in SHORTEST:
             junctions = _walk(gaps.base, found, names, shortest * gaps.width)
             if junctions is not None:
                 return junctions
-    return refusal
+    return None
+
+
+def _meets_itself(base: Base, lists: Int[np.ndarray, "n q"], found: Polygons) -> bool:
+    """Whether a cell reaches where it meets itself, round the tissue or a period away."""
+    n, q = lists.shape
+    goes_round = found.is_edge[:, q:] & ~np.asarray(base.is_end())
+    return bool(goes_round.any() or (found.is_edge[:, :q] & (lists % n == np.arange(n)[:, None])).any())
 
 
 class _Ways(NamedTuple):

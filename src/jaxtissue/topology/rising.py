@@ -2,7 +2,8 @@
 
 From layer to layer every junction is solved anew. A side whose far label has come nearer than the junction's own has
 flipped in between: the point where all four meet is solved for, and the map changed there. Where that does not explain
-a layer, or a side may have flipped and flipped back, steps are halved.
+a layer, or a side may have flipped and flipped back, steps are halved. Where the shortest step does not help, as where
+a part of a cell's section comes off or vanishes, the map of the next layer is found anew, from many points.
 """
 
 from typing import NamedTuple
@@ -12,10 +13,12 @@ from jaxtyping import Bool, Float, Int
 
 from jaxtissue.topology.junctions import Junctions
 from jaxtissue.topology.layer_gaps import LayerGaps, Spots
+from jaxtissue.topology.sampled_map import sampled_map
 
 STEPS = 16  # from the apical to the basal surface
 LEAST = 2.0**-12  # the shortest step
-FORCED = 4  # steps that are taken though they are not explained; then the cells are given up
+FORCED = 4  # steps taken though neither explained nor followed by a new map; then the cells are given up
+RESTARTS = 4  # with new maps, and one more for every twenty cells
 ROUNDS = 24  # of flips within a step
 TIE = 1e-11  # of the tissue's size: labels as near are as near as each other
 NAMED = 8  # cells in a message
@@ -96,6 +99,7 @@ class _Climb:
         self.pieces: list[Pieces] = []
         self.flips: list[Flips] = []
         self.unexplained: list[np.ndarray] = []
+        self.forced, self.restarts = 0, 0
 
     def settle(self) -> None:
         """Put junctions where they are on their layer, and flip sides until no label is nearer than those that meet."""
@@ -144,14 +148,33 @@ class _Climb:
                 return True
             if not self._flip(row, side, low, high, known):
                 break
-        if force:
+        failed, fresh = list(self.now.quads(row, side)) or [np.zeros(0, int)], self._map_anew(high) if force else None
+        if force and fresh is None:
             self.now.place, self.now.at[:], self.now.since[:] = spots.place, high, high
-            self.unexplained += list(self.now.quads(row, side)) or [np.zeros(0, int)]
+            self.unexplained += failed
             self.settle()
+            self.forced += 1
             return True
         self.now, self.lives = begun, lives
         del self.pieces[pieces:], self.flips[flips:]
-        return False
+        if fresh is not None:
+            self.now = fresh
+            self.settle()
+            changed, self.lives = self.now.renumber(begun, lives)
+            self.unexplained += changed or failed
+        return force
+
+    def _map_anew(self, height: float) -> Junctions | None:
+        """The map of a layer by its points; None where that is none, or after too many."""
+        self.restarts += 1
+        if self.restarts > RESTARTS + self.gaps.count // 20:
+            return None
+        try:
+            fresh = sampled_map(self.gaps, height)
+        except ValueError:
+            return None
+        fresh.at[:], fresh.since[:] = height, height
+        return fresh
 
     def _flip(
         self, row: Int[np.ndarray, " k"], side: Int[np.ndarray, " k"], low: float, high: float, known: np.ndarray
@@ -241,15 +264,14 @@ def rise(gaps: LayerGaps, junctions: Junctions) -> Rise:
     """
     climb = _Climb(gaps, junctions)
     climb.settle()
-    apical, low, step, forced = climb.now.copy(), 0.0, 1 / STEPS, 0
+    apical, low, step = climb.now.copy(), 0.0, 1 / STEPS
     while low < 1:
-        high, before = min(1.0, low + step), len(climb.unexplained)
+        high = min(1.0, low + step)
         if climb.step(low, high, step <= LEAST):
             low, step = high, min(2 * step, 1 / STEPS)
-            forced += len(climb.unexplained) > before
         else:
             step /= 2
-        if forced > FORCED:
+        if climb.forced > FORCED or len(climb.unexplained) > gaps.count:
             told = (
                 f"the contacts of {cell_names(climb.unexplained, gaps.count)} can't be followed beyond height {low:.3g}"
             )

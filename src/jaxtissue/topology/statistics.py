@@ -86,7 +86,7 @@ def find_connectivity(positions: PositionsLike, domain: Tube | Domain, threshold
     Raises:
         ValueError: If a position is not finite, lies outside the domain or coincides with another, or if `threshold` is
             negative or NaN. On domains other than `Tube`, also if a cell encircles the domain or shares a wall with its
-            own periodic image, or if backbones nearly cross.
+            own periodic image, or if many backbones nearly cross.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
     >>> len(four.contacts.pairs), four.transitions.per_cell.tolist(), four.is_end.tolist()
