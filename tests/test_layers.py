@@ -131,6 +131,15 @@ def test_closed_shapes_have_the_degree_of_their_euler_number(domain, euler):
     assert found.transitions.open_ends == 0 and len(found.transitions.points) > 5 and not found.is_end.any()
 
 
+def test_one_cell_of_a_closed_tissue_has_no_neighbors():
+    for position in ([0, 0, 1], [[0, 0, 1], [0, 1, 0]]):
+        found = jt.find_connectivity([position], jt.Sphere(1, 1.5))
+        assert repr(found) == "Connectivity(1 cells: 0 contacts, 0 transition points, 0 scutoids)"
+        assert found.forms.pieces.tolist() == [1] and jt.summarize_connectivity(found)["neighbors"] == 0
+    with pytest.raises(ValueError, match="no three of the 2 cells meet"):  # their wall is a ring
+        jt.find_connectivity([[0, 0, 1], [0, 0, -1]], jt.Sphere(1, 1.5))
+
+
 def test_cells_that_go_round_are_refused():
     with pytest.raises(ValueError, match="wraps around"):
         jt.find_connectivity([[2, 0], [8, 0]], jt.RoundTube(10, 1, 2))

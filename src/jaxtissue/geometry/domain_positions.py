@@ -72,7 +72,7 @@ def place_columns(positions: Float[np.ndarray, "n d"], domain: Tube | Domain) ->
 @usual_modes()
 def as_domain_positions(
     positions: PositionsLike, domain: Domain, dtype: DTypeLike | None = None, rows: Rows = BACKBONES, bent: bool = False
-) -> Float[np.ndarray, "n d"]:
+) -> Float[np.ndarray, "n *k d"]:
     """Positions on a domain as an array of floats, [n, d], within it: unit vectors normalized, periods taken off.
 
     The input may be anything that NumPy reads as real numbers, and tables with the domain's columns. With `bent` it may

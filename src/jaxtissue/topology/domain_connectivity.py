@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxtissue.compilation.modes import double_precision, usual_modes
 from jaxtissue.geometry.array_likes import PositionsLike
+from jaxtissue.geometry.base_surfaces import UnitSphere
 from jaxtissue.geometry.domain_positions import as_domain_positions
 from jaxtissue.geometry.domains import Domain, in_doubles
 from jaxtissue.geometry.vectors import components, dot
@@ -38,6 +39,8 @@ def connect_domain(positions: PositionsLike, domain: Domain, threshold: float) -
     """The contacts, transition points and forms of cells on any domain, as `find_connectivity` says."""
     place = as_domain_positions(positions, domain, np.float64, bent=True)
     gaps = LayerGaps(domain, place)
+    if len(place) == 1 and isinstance(domain.base, UnitSphere):
+        return _alone(stretch_anisotropy(domain, gaps.apical))
     risen = rise(gaps, first_map(gaps, gaps.apical, 0.0))
     n, is_end = len(place), np.zeros(len(place) + 4, bool)
     quads = risen.pieces.quad
@@ -48,6 +51,15 @@ def connect_domain(positions: PositionsLike, domain: Domain, threshold: float) -
     transitions = _find_transitions(gaps, risen, walls)
     forms = CellForms(np.zeros(n, bool), np.ones(n, int))
     return DomainConnectivity(contacts, transitions, forms, is_end[:n], stretch_anisotropy(domain, gaps.apical))
+
+
+def _alone(stretch: Float[np.ndarray, " 1"]) -> DomainConnectivity:
+    """The one cell of a closed tissue: no walls, and nothing to follow."""
+    none, pairs = np.zeros(0), np.zeros((0, 2), int)
+    contacts = Contacts(1, pairs, none, none, none, np.array(KINDS)[pairs[:, 0]], pairs[:, 0], none)
+    transitions = Transitions(np.zeros((0, 3)), np.zeros((0, 4), int), np.zeros(1, int), 0, none)
+    return DomainConnectivity(contacts, transitions, CellForms(np.zeros(1, bool), np.ones(1, int)),
+                              np.zeros(1, bool), stretch)  # fmt: skip
 
 
 def _find_transitions(gaps: LayerGaps, risen: Rise, walls: WallPoints) -> Transitions:

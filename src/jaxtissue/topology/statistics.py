@@ -59,6 +59,11 @@ class Connectivity:
     sizes: TracedSizes | None = None
     stretch_anisotropy: Float[np.ndarray, " n"] | None = None
 
+    def __repr__(self) -> str:
+        cells, contacts, points = self.contacts.cells, len(self.contacts.pairs), len(self.transitions.points)
+        told = f"{contacts} contacts, {points} transition points, {int(self.transitions.is_scutoid.sum())} scutoids"
+        return f"Connectivity({cells} cells: {told})"
+
 
 def find_connectivity(positions: PositionsLike, domain: Tube | Domain, threshold: float = 0.0) -> Connectivity:
     """Find which cells share a wall, and where they exchange neighbors between the surfaces (paper, section 4.4).
@@ -89,8 +94,10 @@ def find_connectivity(positions: PositionsLike, domain: Tube | Domain, threshold
             own periodic image, or if many backbones nearly cross.
 
     >>> four = find_connectivity([[2, 0.5], [2, -0.5], [1.2, 0], [2.8, 0]], Tube(4, 1, 2))
-    >>> len(four.contacts.pairs), four.transitions.per_cell.tolist(), four.is_end.tolist()
-    (6, [1, 1, 1, 1], [False, False, True, True])
+    >>> four
+    Connectivity(4 cells: 6 contacts, 1 transition points, 4 scutoids)
+    >>> four.transitions.per_cell.tolist(), four.is_end.tolist()
+    ([1, 1, 1, 1], [False, False, True, True])
     """
     if not threshold >= 0:
         raise ValueError(f"threshold={threshold} is not at least 0; give a fraction of the mean wall area")
