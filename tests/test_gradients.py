@@ -174,6 +174,18 @@ def test_traced_gradients_hold_in_level_rings(apart):
     assert np.sum(slope * way) == pytest.approx((value(1e-4) - value(-1e-4)) / 2e-4, rel=1e-3)
 
 
+def test_area_gradients_on_few_layers_are_those_of_true_areas(x64):
+    """Cells exchange neighbors between the layers: counted where they are seen, their corners would be off by 0.08."""
+    fold, n = jt.Fold(width=6, depth=3, amplitude=0.6, wavelength=6, thickness=0.5), 60
+    place = np.asarray(fold.random_positions(jax.random.key(0), n), float)
+    model = jt.tube_model(fold, n, cell_energy=jt.lateral_tension)
+    neighbors = jt.NeighborList.allocate(place, fold)
+    slope = jax.jit(jax.grad(jt.tissue_energy), static_argnames="resolution")
+    few, many = (np.asarray(slope(place, model, neighbors, resolution=layers)) for layers in ("4x1", "24x1"))
+    cosine = (few * many).sum() / np.linalg.norm(few) / np.linalg.norm(many)
+    assert cosine > 0.999  # the bar; measured 0.9993, and 0.9965 with the corners counted so
+
+
 def test_lines_of_traced_tubes_are_those_of_tubes(dtype):
     trace = jax.jit(trace_lines, static_argnums=(1, 2, 3))
     for size in (PRESETS["draft"], jt.Resolution(2, 3.0), jt.Resolution(1, 4.0)):

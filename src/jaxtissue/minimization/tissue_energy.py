@@ -112,9 +112,8 @@ def energy_on_sections(
     """The same on given layers of any domain."""
     domain, lists = model.domain, jnp.asarray(neighbors.candidates).T
     assert isinstance(domain, Domain)
-    heights = jnp.asarray(layers.heights, positions.dtype)
     rule = RULE._replace(slots=neighbors.slots)
-    sections = smooth_sections(positions, domain, lists, heights, rule)
+    sections = smooth_sections(positions, domain, lists, jax.tree.map(jnp.asarray, layers), rule)
     if model.adhesion is not None:
         worth = model.adhesion.between(jnp.arange(lists.shape[1]), lists % lists.shape[1])[:, None]
         sections = sections._replace(wall=sections.wall * take(worth, jnp.minimum(sections.line, len(lists) - 1)))

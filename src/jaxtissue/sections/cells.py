@@ -79,7 +79,7 @@ def cell_view(
     domain: Domain,
     positions: Float[Array, "n d"] | Float[Array, "n k d"],
     lists: Int[Array, "q cells"],
-    heights: Float[Array, " layers"],
+    heights: Float[Array | np.ndarray, " layers"],
     cells: Int[Array, " cells"] | None = None,
 ) -> View:
     """All cells, or some, as seen on layers.

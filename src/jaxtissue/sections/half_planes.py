@@ -49,9 +49,7 @@ def cut(planes: HalfPlanes, anchor: Array) -> Cuts:
     """
     planes = jax.tree.map(jax.lax.stop_gradient, planes)
     c, along = planes.offset, turned(planes.normal)
-    lines, bits = c.shape[0], max(5, (c.shape[0] - 1).bit_length())
-    integer = jnp.int64 if c.dtype == jnp.float64 else jnp.int32
-    recast, least = jax.lax.bitcast_convert_type, jnp.asarray(-1 << bits, integer)
+    lines = c.shape[0]
 
     def narrow(start: Array, end: Array, k: Array | int, other: HalfPlanes) -> tuple[Array, Array]:
         slope = dot(other.normal, along)
@@ -59,7 +57,7 @@ def cut(planes: HalfPlanes, anchor: Array) -> Cuts:
         crossed = jnp.abs(slope) > PARALLEL
         at = room / jnp.where(crossed, slope, 1)
         never = ~crossed & (room < -10 * PARALLEL * jnp.abs(c))  # a line does not end itself, by rounding
-        coded = recast((recast(at, integer) & least) | k, c.dtype)
+        coded = with_number(at, k, lines)
         upper = jnp.where(crossed & (slope > 0), coded, jnp.where(never, -FAR, FAR))
         lower = jnp.where(crossed & (slope < 0), coded, -FAR)
         return jnp.where(lower > start, lower, start), jnp.where(upper < end, upper, end)
@@ -77,10 +75,9 @@ def cut(planes: HalfPlanes, anchor: Array) -> Cuts:
     def turn(found: Array, chunk: tuple[Array, HalfPlanes]) -> tuple[Array, None]:
         return fusion_barrier(lambda: several(found, *chunk), anchor), None
 
-    found, _ = jax.lax.scan(turn, found, (jnp.arange(0, lines, at_once, dtype=integer), chunks))
+    found, _ = jax.lax.scan(turn, found, (jnp.arange(0, lines, at_once), chunks))
     start, end = found.real, found.imag
-    before, after = ((recast(side, integer) & ~least).astype(jnp.int32) for side in (start, end))
-    return Cuts(start, end, jnp.minimum(before, lines - 1), jnp.minimum(after, lines - 1))
+    return Cuts(start, end, number_in(start, lines), number_in(end, lines))
 
 
 def deepest(
@@ -91,20 +88,37 @@ def deepest(
     `away` are the squares for the own backbone, `offset` leads from all rivals to a point. The slot rides in the lowest
     bits, as in `cut`.
     """
-    integer = jnp.int64 if away.dtype == jnp.float64 else jnp.int32
-    recast, least = jax.lax.bitcast_convert_type, jnp.asarray(-1 << 5, integer)
+    slots = is_point.shape[0]
 
     def search() -> Array:
         best = jnp.asarray(FAR, away.dtype)
-        for k in range(is_point.shape[0]):
+        for k in range(slots):
             theirs = offset(tuple(part[k] for part in points))
-            coded = recast((recast(dot(theirs, theirs) - away[k], integer) & least) | k, away.dtype)
+            coded = with_number(dot(theirs, theirs) - away[k], k, slots)
             best = jnp.where(is_point[k] & (coded < best), coded, best)
         return best
 
     best = fusion_barrier(search, anchor)
-    slot = (recast(best, integer) & ~least).astype(jnp.int32)
-    return best, jnp.minimum(slot, is_point.shape[0] - 1)
+    return best, number_in(best, slots)
+
+
+def with_number(size: Array, number: Array | int, count: int) -> Array:
+    """A size whose lowest bits hold a number below a count: the least or largest of several tells which it is."""
+    integer, least = _lowest_bits(size, count)
+    recast = jax.lax.bitcast_convert_type
+    return recast((recast(size, integer) & least) | jnp.asarray(number, integer), size.dtype)
+
+
+def number_in(size: Array, count: int) -> Int[Array, "..."]:
+    """The number that a size holds."""
+    integer, least = _lowest_bits(size, count)
+    number = jax.lax.bitcast_convert_type(size, integer) & ~least
+    return jnp.minimum(number.astype(jnp.int32), count - 1)
+
+
+def _lowest_bits(size: Array, count: int) -> tuple[Any, Array]:
+    integer = jnp.int64 if size.dtype == jnp.float64 else jnp.int32
+    return integer, jnp.asarray(-1 << max(5, (count - 1).bit_length()), integer)
 
 
 def crossing(one: HalfPlanes, other: HalfPlanes, least: float) -> Vector:

@@ -100,9 +100,13 @@ class Polygon(NamedTuple):
 
 def measure_sections(domain: Domain, view: View, rule: Rule) -> Sections:
     """Measure the section of each cell on each layer."""
+    return measure_polygons(domain, view, rule, final_polygon(domain, view, rule))
+
+
+def final_polygon(domain: Domain, view: View, rule: Rule) -> Polygon:
+    """The polygon of each section that is measured."""
     polygons = find_polygons(domain, view, rule)
-    last = jax.tree.map(lambda table: table[-1], polygons)
-    return measure_polygons(domain, view, rule, _best(view, polygons) if rule.best else last)
+    return _best(view, polygons) if rule.best else jax.tree.map(lambda table: table[-1], polygons)
 
 
 def _best(view: View, polygons: Polygon) -> Polygon:
@@ -122,7 +126,6 @@ def _best(view: View, polygons: Polygon) -> Polygon:
     astray = jax.lax.map(lambda these: jax.lax.map(off, these).sum(axis=0), corners)
     last = astray.shape[0] - 1
     which = jnp.where(astray.min(axis=0) < astray[-1] - ASTRAY, astray.argmin(axis=0), last)
-
     return jax.tree.map(
         lambda table: jnp.select([which == k for k in range(last)], list(table[:last]), table[-1]), polygons
     )
@@ -181,7 +184,7 @@ def _cut_out(domain: Domain, view: View, planes: HalfPlanes, rule: Rule) -> Poly
     edge, other = edges_of(planes, view, packed.line, anchor), edges_of(planes, view, after, anchor)
     rough = end = fusion_barrier(lambda: crossing(edge.plane, other.plane, 1e-5), anchor)
     for _ in range(rule.steps):
-        end = fusion_barrier(lambda z=end: add(z, _to_corner(domain, view, z, edge, other)), anchor)
+        end = fusion_barrier(lambda z=end: add(z, to_corner(domain, view, z, edge, other)), anchor)
 
     def starts() -> Vector:
         slot, exists = take((packed.slot, cuts.exists), before)
@@ -249,7 +252,7 @@ def distance_to_wall(flat: Frame, view: View, z: Vector, edge: Edges) -> tuple[V
     return (x, y), jnp.where(fit, found.value / steep, edge.plane.offset - dot(edge.plane.normal, z))
 
 
-def _to_corner(domain: Domain, view: View, z: Vector, edge: Edges, other: Edges) -> Vector:
+def to_corner(domain: Domain, view: View, z: Vector, edge: Edges, other: Edges) -> Vector:
     """One step of Newton's method to the corner of two walls; none where they are nearly parallel, and none too far."""
     flat = view.frame(domain, z)
     (a, b), inside = distance_to_wall(flat, view, z, edge)

@@ -10,8 +10,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.vectors import Vector, add, area, dot, scale, subtract, turned
-from jaxtissue.sections.cells import cell_view
-from jaxtissue.sections.polygons import Rule, Sections, find_polygons, measure_polygons, measure_sections
+from jaxtissue.sections.cells import Layers, cell_view
+from jaxtissue.sections.polygons import Rule, Sections, final_polygon, measure_polygons, measure_sections
 from jaxtissue.sections.rims import joined
 from jaxtissue.sections.views import View
 from jaxtissue.sections.wall_speeds import Slopes, wall_speeds
@@ -30,26 +30,27 @@ def smooth_sections(
     positions: Float[Array, "n *k d"],
     domain: Domain,
     lists: Int[Array, "q n"],
-    heights: Float[Array, " layers"],
+    layers: Layers,
     rule: Rule,
 ) -> Sections:
     """The sections of all cells, as `cell_sections` has them; derivatives are those of their true walls.
 
-    Sizes and volumes have derivatives, corners and middles have none.
+    Sizes and volumes have derivatives, corners and middles have none. Those of wall areas hold for the sum over the
+    layers by the first row of weights: in them corners count for as long as their edges exist.
     """
-    return measure_sections(domain, cell_view(domain, positions, lists, heights), rule)
+    return measure_sections(domain, cell_view(domain, positions, lists, layers.heights), rule)
 
 
 @partial(smooth_sections.defjvp, symbolic_zeros=True)
 def _with_speeds(rule: Rule, primals: tuple, tangents: tuple) -> tuple[Sections, Sections]:
-    positions, domain, lists, heights = primals
-    view = cell_view(domain, positions, lists, heights)
-    polygon = jax.tree.map(lambda table: table[-1], find_polygons(domain, view, rule))
+    positions, domain, lists, layers = primals
+    view = cell_view(domain, positions, lists, layers.heights)
+    polygon = final_polygon(domain, view, rule)
     sections = measure_polygons(domain, view, rule, polygon)
     sizes = (sections.wall, sections.length, sections.volume, sections.area)
     changes = [jnp.zeros_like(size) for size in sizes]
     if not isinstance(tangents[0], SymbolicZero):
-        found = wall_speeds(domain, view, polygon, lists, positions)
+        found = wall_speeds(domain, view, polygon, lists, positions, layers)
         way = tangents[0][..., : len(domain.columns)].reshape(len(positions), -1)  # the heights of nodes stay
         ways = [way.T[:, None, None], *(jnp.moveaxis(way[number], -1, 0) for number in found[4:])]
 
@@ -59,7 +60,7 @@ def _with_speeds(rule: Rule, primals: tuple, tangents: tuple) -> tuple[Sections,
 
         changes = [change(found.wall), change(found.length), change(found.volume).sum(0), change(found.area).sum(0)]
     if not all(map(_is_zero, jax.tree.leaves(tangents[1], is_leaf=_is_zero))):
-        by_domain = partial(_sizes, positions, lists, heights, rule)
+        by_domain = partial(_sizes, positions, lists, layers.heights, rule)
         more = jax.jvp(by_domain, (domain,), (_filled(domain, tangents[1]),))[1]
         changes = [one + other for one, other in zip(changes, more, strict=True)]
     still = jax.tree.map(lambda table: zero_from_primal(table, symbolic_zeros=True), sections)
@@ -86,7 +87,7 @@ def _sizes(positions: Array, lists: Array, heights: Array, rule: Rule, domain: D
 
 def section_moments(domain: Domain, view: View, rule: Rule) -> Moments:
     """The moments of each section: those of the triangles from the backbone to its straight edges."""
-    polygon = jax.tree.map(lambda table: table[-1], find_polygons(domain, view, rule))
+    polygon = final_polygon(domain, view, rule)
     start, end = polygon.start, polygon.end
     span = dot(subtract(end, start), turned(polygon.edge.plane.normal))
     sweep = jnp.where(polygon.packed.is_edge & (span > 0), area(start, end), 0)

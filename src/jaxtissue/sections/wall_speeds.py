@@ -15,7 +15,9 @@ from jaxtissue.compilation.fusion import fusion_barrier, take_rows
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.nodes import Nodes, as_nodes, node_points
 from jaxtissue.geometry.vectors import Vector, add, components, dot, scale, subtract, turned
+from jaxtissue.sections.cells import Layers
 from jaxtissue.sections.half_planes import take
+from jaxtissue.sections.lifespans import corner_weights
 from jaxtissue.sections.polygons import STEEP, Edges, Polygon, edges_of, integrands, to_wall
 from jaxtissue.sections.rims import joined, mean, parts
 from jaxtissue.sections.views import LEAST_SLOPE, Backbones, Polylines, Segments, View, gap
@@ -74,9 +76,17 @@ class Motion(NamedTuple):
 
 
 def wall_speeds(
-    domain: Domain, view: View, polygon: Polygon, lists: Int[Array, "q n"], positions: Float[Array, "n *k d"]
+    domain: Domain,
+    view: View,
+    polygon: Polygon,
+    lists: Int[Array, "q n"],
+    positions: Float[Array, "n *k d"],
+    layers: Layers,
 ) -> Speeds:
-    """The speeds of sections whose polygons are known, on the lists of the cells, with all backbones at `positions`."""
+    """The speeds of sections whose polygons are known, on the lists of the cells, with all backbones at `positions`.
+
+    What the corners add to the area of a wall counts for the part of the height in which their edges exist.
+    """
     anchor, edge, candidates = view.anchor, polygon.edge, view.is_there.shape[0]
     owners = (jnp.maximum(lists, 0) % len(positions))[:, None]
     lines = (polygon.packed.line, polygon.before, polygon.after)
@@ -104,22 +114,44 @@ def wall_speeds(
         lambda: _slides(domain, view, joined(start, end), (twice, beside), (own, twice_theirs, others)), anchor
     )
 
-    def by_wall(size: Array, growth: list[list[Array]]) -> tuple[Slopes, ...]:
-        first, _, last = parts(size, 3)
-        ends = [[parts(slide, 2) for slide in by] for by in slides]
-        full = [
-            tuple(span * rate + jnp.where(span > 0, last * b - first * a, 0) for rate, (a, b) in zip(*by, strict=True))
-            for by in zip(growth, ends[:2], strict=True)
-        ]
-        before = tuple(jnp.where(span > 0, -first * a, 0) for a, _ in ends[2])
-        after = tuple(jnp.where(span > 0, last * b, 0) for _, b in ends[2])
-        return (*full, before, after)
+    weight = fusion_barrier(lambda: _both_ends(domain, view, polygon, parts(beside, 2)[1], layers), anchor)
 
     def swept(element: Array) -> tuple[Slopes, ...]:
         return tuple(tuple(span * mean(jnp.abs(element) * side) for side in by) for by in sides)
 
-    wall, length = (by_wall(size, [[rate[k] for rate in by] for by in grown]) for k, size in enumerate(sizes[:2]))
+    wall, length = (
+        _with_slides(span, size, [[rate[k] for rate in by] for by in grown], slides, (weight, (1.0, 1.0))[k])
+        for k, size in enumerate(sizes[:2])
+    )
     return Speeds(wall, length, swept(sizes[2][0]), swept(sizes[2][1]), across, before, after)
+
+
+def _with_slides(
+    span: Array,
+    size: Array,
+    growth: list[list[Array]],
+    slides: list[list[Array]],
+    weight: tuple[Array | float, Array | float],
+) -> tuple[Slopes, ...]:
+    """What edges gain along them, and what the corners that slide along them add, which have weights."""
+    first, _, last = parts(size, 3)
+    first, last = first * weight[0], last * weight[1]
+    ends = [[parts(slide, 2) for slide in by] for by in slides]
+    full = [
+        tuple(span * rate + jnp.where(span > 0, last * b - first * a, 0) for rate, (a, b) in zip(*by, strict=True))
+        for by in zip(growth, ends[:2], strict=True)
+    ]
+    before = tuple(jnp.where(span > 0, -first * a, 0) for a, _ in ends[2])
+    after = tuple(jnp.where(span > 0, last * b, 0) for _, b in ends[2])
+    return (*full, before, after)
+
+
+def _both_ends(domain: Domain, view: View, polygon: Polygon, after: Edges, layers: Layers) -> tuple[Array, Array]:
+    """The weights of the corners where edges start and end."""
+    end = corner_weights(domain, view, polygon, after, layers)
+    slot, exists = take((polygon.packed.slot, polygon.exists), polygon.before)
+    follows = exists & (take(polygon.after, slot) == polygon.packed.line)
+    return jnp.where(follows, take(end, slot), 1), end
 
 
 def _motions(domain: Domain, positions: Float[Array, "n *k d"]) -> list[Motion]:

@@ -1,0 +1,99 @@
+"""Between which heights the corners of sections exist, and what a rule of layers should count them for.
+
+A corner is where an edge of the diagram crosses the layer. The edge ends where a fourth backbone is as near as its
+three: there corners come and go, and what is summed over corners jumps. A rule with weights w_1 ... w_L stands for the
+parts of the height between W_l = w_1 + ... + w_l. An edge that is seen on layers a to b counts W_b - W_(a-1), but it
+lasts from s to t: layer b lacks t - W_b, and layer a lacks W_(a-1) - s.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxtissue.geometry.domains import Domain, Frame
+from jaxtissue.geometry.vectors import Vector, add, dot, scale, subtract
+from jaxtissue.sections.cells import Layers
+from jaxtissue.sections.half_planes import number_in, with_number
+from jaxtissue.sections.polygons import Edges, Polygon, to_corner
+from jaxtissue.sections.views import View, gap
+
+LEVEL = 1e-3  # the sine of the angle of two walls on a layer below which the course of their edge is not known
+AGES = 10.0  # of the height of the tissue: for ever
+
+
+def corner_weights(domain: Domain, view: View, polygon: Polygon, other: Edges, layers: Layers) -> Array:
+    """The weight of the end of each edge of a section, as a part of the weight of its layer, [slots, *T].
+
+    Args:
+        domain: The tissue.
+        view: The cells as seen on the layers.
+        polygon: Their sections.
+        other: The walls that follow the edges counterclockwise.
+        layers: The layers, with the rule of the first row of weights.
+    """
+    above, below = _lifespans(domain, view, polygon, other)
+    height, weight = (jnp.asarray(table, above.dtype) for table in (layers.heights, layers.weights[0]))
+    order = jnp.argsort(height)
+    back, height, weight = jnp.argsort(order), height[order], weight[order]
+    top = jnp.cumsum(weight)
+    table = (height, weight, top, jnp.append(0, height[:-1]), jnp.append(height[1:], 1))
+    height, weight, top, lower, upper = (column[back][:, None] for column in table)
+    begin, end = height - below, height + above
+    lacks = jnp.where(end < upper, end - top, 0) + jnp.where(begin > lower, top - weight - begin, 0)
+    return jnp.where(weight > 0, 1 + lacks / jnp.where(weight > 0, weight, 1), 1)
+
+
+def _lifespans(domain: Domain, view: View, polygon: Polygon, other: Edges) -> list[Array]:
+    """How far above and below the layer edges last, [slots, *T] each.
+
+    To first order from the corner, and then by one step from where the edge is at the height found so.
+    """
+    edges = polygon.edge, other
+    flat = view.frame(domain, polygon.end)
+    drift, course = _drift(flat, view, edges)
+    mine, candidates = view.own.offset(flat.point), len(view.is_there)
+    number = jnp.arange(candidates).reshape(-1, 1, 1)
+
+    def first_ends(corner: tuple[Vector, Vector, Vector, Array, Array]) -> Array:
+        point, course, mine, *lines = corner
+        theirs = view.rivals.offset(point)
+        apart = jnp.maximum(dot(theirs, theirs) - dot(mine, mine), 0)
+        rate = 2 * dot(subtract(theirs, mine), course)  # by which it grows with the height
+        others = view.is_there & (number != lines[0]) & (number != lines[1])
+        time = apart / jnp.where(rate == 0, 1, jnp.abs(rate))
+        ends = (jnp.where(others & (sign * rate < 0), time, AGES) for sign in (1, -1))
+        return jax.lax.complex(*(with_number(time, number, candidates).min(axis=0) for time in ends))
+
+    found = jax.lax.map(first_ends, (flat.point, course, mine, polygon.packed.line, polygon.after))
+
+    def again(sign: int, coded: Array) -> Array:
+        time, rival = coded, number_in(coded, candidates)
+        near = time < 1
+        rise = jnp.where(near, sign * time, 0)
+        there = view._replace(height=view.height + rise)
+        z = add(polygon.end, scale(rise, drift))
+        z = add(z, to_corner(domain, there, z, *edges))
+        flat = there.frame(domain, z)
+        left = gap(flat, view.own, view.rivals.take(rival))
+        rate = sign * dot(left.pull, _drift(flat, there, edges)[1])
+        more = jnp.clip(left.value / jnp.where(rate < 0, -rate, jnp.inf), -time / 2, time / 2)
+        return jnp.where(near, time + more, time)
+
+    return [again(1, found.real), again(-1, found.imag)]
+
+
+def _drift(flat: Frame, view: View, edges: tuple[Edges, Edges]) -> tuple[Vector, Vector]:
+    """How far corners move on their layer per height, and their edges in space: straight up where walls are one."""
+    (a, b, up), (c, d, other_up) = (_slope(flat, view, edge) for edge in edges)
+    sine = a * d - b * c
+    sharp = jnp.abs(sine) > LEVEL * jnp.sqrt((a**2 + b**2) * (c**2 + d**2))
+    share = jnp.where(sharp, 1 / jnp.where(sharp, sine, 1), 0)
+    drift = share * (b * other_up - d * up), share * (c * up - a * other_up)
+    return drift, add(add(scale(drift[0], flat.first), scale(drift[1], flat.second)), flat.upward)
+
+
+def _slope(flat: Frame, view: View, edge: Edges) -> tuple[Array, Array, Array]:
+    """How the gap changes with z and with the height; limits go straight up."""
+    found = gap(flat, view.own, edge.rivals)
+    a, b = (jnp.where(edge.is_wall, s, n) for s, n in zip(found.slope, edge.plane.normal, strict=True))
+    return a, b, jnp.where(edge.is_wall, dot(found.pull, flat.upward), 0)
