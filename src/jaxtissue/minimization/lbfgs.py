@@ -19,11 +19,22 @@ LEAST = 1e-12  # cosine of a step and the change of the gradient, below which th
 
 
 class Point(NamedTuple):
-    """A place with the energy and its gradient there."""
+    """A place with the energy and its gradient there, and up to which part of the energy changes mean nothing."""
 
     place: Float[np.ndarray, "n d"]
     energy: float
     gradient: Float[np.ndarray, "n d"]
+    noise: float = 0.0
+
+    def is_level_with(self, other: "Point") -> bool:
+        """Whether the energies are the same but for the noise."""
+        return abs(self.energy - other.energy) <= self.noise * abs(self.energy)
+
+    def is_below(self, other: "Point") -> bool:
+        """Whether the energy is less or, of the same energy, the gradient."""
+        if self.is_level_with(other):
+            return bool(np.linalg.norm(self.gradient) < np.linalg.norm(other.gradient))
+        return self.energy < other.energy
 
 
 Function = Callable[[Float[np.ndarray, "n d"]], Point]
@@ -80,16 +91,21 @@ class LBFGS:
 
 
 def _weak_wolfe(function: Function, here: Point, direction: np.ndarray, first: float, most: float) -> Point | None:
-    """A point on a line with enough less energy and, unless it is as far as may be, enough less slope."""
+    """A point on a line with enough less energy and, unless it is as far as may be, enough less slope.
+
+    Where the energy's changes are noise, the slope alone tells (Hager and Zhang, SIAM J. Optim. 16, 170, 2005).
+    """
     slope = float((direction * here.gradient).sum())
     low, high, share, best = 0.0, np.inf, first, None
     for _ in range(TRIALS):
         there = function(here.place + share * direction)
-        if not there.energy <= here.energy + DECREASE * share * slope:
+        there_slope = float((there.gradient * direction).sum())
+        is_level = there.is_level_with(here) and there_slope <= (2 * DECREASE - 1) * slope
+        if not (is_level or there.energy <= here.energy + DECREASE * share * slope):
             high = share
         else:
             best = there
-            if share >= most or (there.gradient * direction).sum() >= CURVATURE * slope:
+            if share >= most or there_slope >= CURVATURE * slope:
                 return best
             low = share
         share = min(2 * low, most) if np.isinf(high) else (low + high) / 2

@@ -57,11 +57,13 @@ class PlacedEnergy:
 
     Attributes:
         stalled: Relative decrease of the energy between two checks that is none.
+        noise: Relative change of the energy that its gradient need not explain.
     """
 
     def __init__(self, model: Model, units: Float[np.ndarray, " d"], width: float) -> None:
         self.model, self.units, self.width = model, units, width
-        self.stalled = 1e-7 if jnp.result_type(float) == jnp.float32 else 1e-12
+        single = jnp.result_type(float) == jnp.float32
+        self.stalled, self.noise = (1e-7, 0.0) if single else (1e-12, 1e-9)
         self.evaluations, self.compiling = 0, 0.0
         self._known: set[Hashable] = set()
         self._begin = time.perf_counter()
@@ -100,7 +102,7 @@ class PlacedEnergy:
         energy, slope = self.measured(place)
         if not (np.isfinite(energy) and np.isfinite(slope).all()):
             return Point(place, np.inf, np.zeros_like(slope))
-        return Point(place, float(energy), slope)
+        return Point(place, float(energy), slope, self.noise)
 
     def record(self, step: int, here: Point) -> RelaxRecord:
         """The record of a place."""

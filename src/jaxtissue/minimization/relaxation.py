@@ -28,6 +28,7 @@ from jaxtissue.system.frames import as_frame
 MINIMIZERS = {"lbfgs": LBFGS, "fire": FIRE}
 METHODS = (*MINIMIZERS, "lloyd")
 ROUNDING = 1e-6  # relative difference of the energy by old and new lists that is none
+SHORTER = 0.9  # of the gradient, as which it must be for a step that leaves the energy as it is
 SHORTEST = 1e-3  # of REACH, the least to which steps are shortened where lists do not hold
 
 
@@ -171,25 +172,32 @@ def _descend(
         cure = "separate backbones that coincide, or anneal a few sweeps first"
         cure = cure if len(positions) > 1 else "one cell alone has no walls that could move, so give more cells"
         raise ValueError(f"the energy or its gradient is not finite at the start; {cure}")
-    least, before = tolerance * float(np.linalg.norm(here.gradient)), np.inf
+    least, before = tolerance * float(np.linalg.norm(here.gradient)), None
     for step in range(steps + 1):
         record, ended = energy.record(step, here), ""
         if record.gradient <= least:
             ended = RELAXED
-        elif before - here.energy <= energy.stalled * abs(here.energy):
+        elif before is not None and not _goes_down(before, here, energy.stalled):
             ended = "no step lowers the energy further"
         yield Stage(record, energy.positions(here.place), ended)
-        before, reach = here.energy, longest
+        before, reach = here, longest
         while step < steps and reach > SHORTEST * longest:
             low = _lowest(energy, here, minimizer, reach)
             there = energy.renewed(low.place) if low is not here else here
             if abs(there.energy - low.energy) > ROUNDING * abs(low.energy):
                 minimizer.forget()  # lists lacked a neighbor: it was another energy
-            if there.energy <= here.energy:
+            if there.energy <= here.energy or there.is_below(here):
                 here = there
                 break
             reach /= 4
             energy.renewed(here.place)
+
+
+def _goes_down(before: Point, here: Point, stalled: float) -> bool:
+    """Whether a step was worth it: by the energy or, where its changes are noise, by the gradient."""
+    shorter = np.linalg.norm(here.gradient) <= SHORTER * np.linalg.norm(before.gradient)
+    gain = before.energy - here.energy
+    return bool(gain > stalled * abs(here.energy) or (here.is_level_with(before) and shorter))
 
 
 def _lowest(energy: PlacedEnergy, here: Point, minimizer: LBFGS | FIRE, reach: float) -> Point:
@@ -202,8 +210,8 @@ def _lowest(energy: PlacedEnergy, here: Point, minimizer: LBFGS | FIRE, reach: f
         before, there = there, minimizer.step(energy, there, max(reach - moved, reach / 4))
         if there is before or not np.isfinite(there.energy):
             break
-        if there.energy < best.energy:
+        if there.is_below(best):
             best = there
-    if best is not there:
+    if not there.is_level_with(best):
         minimizer.forget()
     return best
