@@ -4,8 +4,8 @@
 
 For random directions of all backbones but those next to an end: the cosine of the derivatives by `tissue_energy` and by
 differences, of the volume term of the paper's energy and of the sum of all lateral areas. True sizes are those of the
-traced edges on reference tubes, and elsewhere those of sections on 80 layers, five passes and three steps of Newton's
-method. The steps are short: on a sphere or a slab, neighbors are exchanged on all layers at once, which gives the area
+traced edges on reference tubes, of which one is measured as a domain, too, and elsewhere those of sections on 80
+layers, five passes and three steps of Newton's method. The steps are short: on a sphere or a slab, neighbors are exchanged on all layers at once, which gives the area
 a kink. On the bent tube they are longer, since sections jump a little where edges come and go, and differences over
 short steps would show that. Times are the processor's, so that other work on the machine counts little; those of
 "traced" lack the tracing, since edges are kept. Writes benchmarks/results/gradients.json. Pin it to one core:
@@ -48,15 +48,19 @@ def tubes() -> dict[str, tuple[jt.Tube, np.ndarray]]:
 def domains() -> dict[str, tuple[Any, np.ndarray]]:
     """Other domains, with random positions."""
     shapes = SHAPES | {"slab": jt.Slab(12, 10, 1, periodic=(True, True))}
-    return {
-        name: (shape, np.asarray(shape.random_positions(jax.random.key(1), CELLS))) for name, shape in shapes.items()
+    tube, place = tubes()[NAMES[0]]
+    found: dict[str, tuple[Any, np.ndarray]] = {
+        f"{NAMES[0]}, sections": (jt.RoundTube(tube.length, tube.apical_radius, tube.basal_radius), place)
     }
+    for name, shape in shapes.items():
+        found[name] = shape, np.asarray(shape.random_positions(jax.random.key(1), CELLS))
+    return found
 
 
 def true_sizes(place: np.ndarray, domain: Any) -> jt.CellGeometry:
     """Volumes and lateral areas, as nearly right as they can be had."""
-    if isinstance(domain, jt.Tube):
-        sizes = trace_sizes(place, domain)
+    if isinstance(domain, jt.Tube | jt.RoundTube):
+        sizes = trace_sizes(place, jt.Tube(domain.length, domain.apical_radius, domain.basal_radius))
         assert sizes is not None
         return jt.CellGeometry(sizes.volume, sizes.lateral_area)
     sizes = find_sections(domain, as_domain_positions(place, domain), MANY, CONVERGED[1]).sizes
@@ -77,11 +81,10 @@ def is_inner(place: np.ndarray, domain: Any, length: float) -> np.ndarray:
     return np.all([np.abs(np.asarray(domain.reflect(end)) - end).max(axis=1) < 1e-9 for end in ends], axis=0)
 
 
-def measured(name: str, domain: Any, place: np.ndarray, energy: str, sizes: tuple[str, ...]) -> list[dict[str, Any]]:
-    """The cosine for one tissue, energy and each resolution, and the cost of the gradient."""
-    model = jt.tube_model(domain, len(place), tension=1.0, cell_energy=ENERGIES[energy])
-    neighbors, ways, expected = jt.NeighborList.allocate(place, domain), [], []
-    units = np.array([1, float(domain.basal_radius)]) if isinstance(domain, jt.Tube) else 1.0
+def measured(name: str, domain: Any, place: np.ndarray, resolutions: tuple[str, ...]) -> list[dict[str, Any]]:
+    """The cosine for one tissue, by energy and resolution, and the cost of the gradient."""
+    neighbors, ways, ends = jt.NeighborList.allocate(place, domain), [], []
+    units = np.array([1, float(domain.basal_radius)]) if isinstance(domain, jt.Tube | jt.RoundTube) else 1.0
     length = STEPS.get(name, STEP)
     inner = is_inner(place, domain, length)[:, None]
     for seed in range(DIRECTIONS):
@@ -89,23 +92,24 @@ def measured(name: str, domain: Any, place: np.ndarray, energy: str, sizes: tupl
         if place.shape[1] == 3:
             way -= (way * place).sum(axis=1, keepdims=True) * place
         ways.append(way / np.linalg.norm(way) / units)
-        ends = [true_sizes(moved(place, step * ways[-1], domain), domain) for step in (length, -length)]
-        high, low = (float(ENERGIES[energy](end, model).sum()) for end in ends)
-        expected.append((high - low) / (2 * length))
+        ends.append([true_sizes(moved(place, step * ways[-1], domain), domain) for step in (length, -length)])
     rows = []
-    for size in sizes:
+    for energy, function in ENERGIES.items():
+        model = jt.tube_model(domain, len(place), tension=1.0, cell_energy=function)
+        expected = [np.subtract(*(float(function(end, model).sum()) for end in pair)) / (2 * length) for pair in ends]
+        for resolution in resolutions:
 
-        def value(place: jax.Array, size: str = size) -> jax.Array:
-            return jt.tissue_energy(place, model, neighbors, size)
+            def value(place: jax.Array, model: jt.Model = model, resolution: str = resolution) -> jax.Array:
+                return jt.tissue_energy(place, model, neighbors, resolution)
 
-        both = jax.jit(jax.value_and_grad(value))
-        gradient = np.asarray(both(jnp.asarray(place))[1])
-        found = [(gradient * way).sum() for way in ways]
-        cosine = np.dot(found, expected) / np.linalg.norm(found) / np.linalg.norm(expected)
-        row = {"tissue": name, "resolution": size, "energy": energy, "step": length, "cosine": float(cosine)}
-        print(row, flush=True)
-        times = [median_seconds(function, jnp.asarray(place)) for function in (jax.jit(value), both)]
-        rows.append(row | {"energy_seconds": times[0], "with_gradient_seconds": times[1]})
+            both = jax.jit(jax.value_and_grad(value))
+            gradient = np.asarray(both(jnp.asarray(place))[1])
+            found = [(gradient * way).sum() for way in ways]
+            cosine = np.dot(found, expected) / np.linalg.norm(found) / np.linalg.norm(expected)
+            row = {"tissue": name, "resolution": resolution, "energy": energy, "step": length, "cosine": float(cosine)}
+            print(row, flush=True)
+            times = [median_seconds(function, jnp.asarray(place)) for function in (jax.jit(value), both)]
+            rows.append(row | {"energy_seconds": times[0], "with_gradient_seconds": times[1]})
     return rows
 
 
@@ -124,10 +128,9 @@ if __name__ == "__main__":
     path = common.output((__doc__ or "").split("\n")[0], "gradients")
     jax.config.update("jax_enable_x64", True)
     rows = []
-    for energy in ENERGIES:
-        for name, (tube, place) in tubes().items():
-            rows += measured(name, tube, place, energy, ("standard", "fine", "traced"))
-        for name, (domain, place) in domains().items():
-            rows += measured(name, domain, place, energy, ("standard", "fine", "32x1"))
+    for name, (tube, place) in tubes().items():
+        rows += measured(name, tube, place, ("standard", "fine", "traced"))
+    for name, (domain, place) in domains().items():
+        rows += measured(name, domain, place, ("standard", "fine"))
     load = {"load_average": os.getloadavg(), "cores": len(os.sched_getaffinity(0))}
     common.write(path, {"directions": DIRECTIONS} | load | {"rows": rows})

@@ -3,7 +3,8 @@
 A corner is where an edge of the diagram crosses the layer. The edge ends where a fourth backbone is as near as its
 three: there corners come and go, and what is summed over corners jumps. A rule with weights w_1 ... w_L stands for the
 parts of the height between W_l = w_1 + ... + w_l. An edge that is seen on layers a to b counts W_b - W_(a-1), but it
-lasts from s to t: layer b lacks t - W_b, and layer a lacks W_(a-1) - s.
+lasts from s to t: layer b lacks t - W_b, and layer a lacks W_(a-1) - s. In these parts sizes go on as between the last
+two layers with the edge.
 """
 
 import jax
@@ -31,16 +32,22 @@ def corner_weights(domain: Domain, view: View, polygon: Polygon, other: Edges, l
         other: The walls that follow the edges counterclockwise.
         layers: The layers, with the rule of the first row of weights.
     """
-    above, below = _lifespans(domain, view, polygon, other)
-    height, weight = (jnp.asarray(table, above.dtype) for table in (layers.heights, layers.weights[0]))
-    order = jnp.argsort(height)
-    back, height, weight = jnp.argsort(order), height[order], weight[order]
-    top = jnp.cumsum(weight)
-    table = (height, weight, top, jnp.append(0, height[:-1]), jnp.append(height[1:], 1))
-    height, weight, top, lower, upper = (column[back][:, None] for column in table)
-    begin, end = height - below, height + above
-    lacks = jnp.where(end < upper, end - top, 0) + jnp.where(begin > lower, top - weight - begin, 0)
-    return jnp.where(weight > 0, 1 + lacks / jnp.where(weight > 0, weight, 1), 1)
+    order = jnp.argsort(jnp.asarray(layers.heights))
+    height, weight = (jnp.asarray(table, view.height.dtype)[order] for table in (layers.heights, layers.weights[0]))
+    above, below = (span[:, order] for span in _lifespans(domain, view, polygon, other))
+    h, w, top = (column[:, None] for column in (height, weight, jnp.cumsum(weight)))
+    end, begin = h + above, h - below
+    late = jnp.where(end < jnp.append(height[1:], 1)[:, None], end - top, 0)
+    early = jnp.where(begin > jnp.append(0, height[:-1])[:, None], top - w - begin, 0)
+    # the same edge on a layer and on the next one, [slots there, slots here, layers - 1, n]
+    code = jnp.where(polygon.packed.is_edge, polygon.packed.line * len(polygon.exists) + polygon.after, -1)[:, order]
+    same = (code[:, None, 1:] == code[:, :-1]) & (code[:, :-1] >= 0) & ((w[1:] > 0) & (w[:-1] > 0))
+    # on straight lines: the last layer counts more, the one before less
+    step = jnp.diff(h, axis=0)
+    later = same * (late * ((top + end) / 2 - h))[:, None, 1:] / step
+    earlier = same * (early * (h - (top - w + begin) / 2))[:, :-1] / step
+    lacks = (late + early).at[:, 1:].add((later - earlier).sum(axis=1)).at[:, :-1].add((earlier - later).sum(axis=0))
+    return jnp.where(w > 0, 1 + lacks / jnp.where(w > 0, w, 1), 1)[:, jnp.argsort(order)]
 
 
 def _lifespans(domain: Domain, view: View, polygon: Polygon, other: Edges) -> list[Array]:
