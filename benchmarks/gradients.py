@@ -5,11 +5,11 @@
 For random directions of all backbones but those next to an end: the cosine of the derivatives by `tissue_energy` and by
 differences, of the volume term of the paper's energy and of the sum of all lateral areas. True sizes are those of the
 traced edges on reference tubes, of which one is measured as a domain, too, and elsewhere those of sections on 80
-layers, five passes and three steps of Newton's method. The steps are short: on a sphere or a slab, neighbors are exchanged on all layers at once, which gives the area
-a kink. On the bent tube they are longer, since sections jump a little where edges come and go, and differences over
-short steps would show that. Times are the processor's, so that other work on the machine counts little; those of
-"traced" lack the tracing, since edges are kept. Writes benchmarks/results/gradients.json. Pin it to one core:
-`taskset -c 0`.
+layers, five passes and three steps of Newton's method. The steps are short: on a sphere or a slab, neighbors are
+exchanged on all layers at once, which gives the area a kink. On the bent tube they are longer, since sections jump a
+little where edges come and go, and differences over short steps would show that. Times are the processor's, so that
+other work on the machine counts little; those of "traced" lack the tracing, since edges are kept. Writes
+benchmarks/results/gradients.json. Pin it to one core: `taskset -c 0`.
 """
 
 import os
@@ -62,9 +62,9 @@ def true_sizes(place: np.ndarray, domain: Any) -> jt.CellGeometry:
     if isinstance(domain, jt.Tube | jt.RoundTube):
         sizes = trace_sizes(place, jt.Tube(domain.length, domain.apical_radius, domain.basal_radius))
         assert sizes is not None
-        return jt.CellGeometry(sizes.volume, sizes.lateral_area)
+        return jt.CellGeometry(jnp.asarray(sizes.volume), jnp.asarray(sizes.lateral_area))
     sizes = find_sections(domain, as_domain_positions(place, domain), MANY, CONVERGED[1]).sizes
-    return jt.CellGeometry(np.asarray(sizes.volume[0]), np.asarray(sizes.lateral_area[0]))
+    return jt.CellGeometry(jnp.asarray(sizes.volume[0]), jnp.asarray(sizes.lateral_area[0]))
 
 
 def moved(place: np.ndarray, way: np.ndarray, domain: Any) -> np.ndarray:
@@ -96,7 +96,8 @@ def measured(name: str, domain: Any, place: np.ndarray, resolutions: tuple[str, 
     rows = []
     for energy, function in ENERGIES.items():
         model = jt.tube_model(domain, len(place), tension=1.0, cell_energy=function)
-        expected = [np.subtract(*(float(function(end, model).sum()) for end in pair)) / (2 * length) for pair in ends]
+        sums = [[float(function(end, model).sum()) for end in pair] for pair in ends]
+        expected = [(high - low) / (2 * length) for high, low in sums]
         for resolution in resolutions:
 
             def value(place: jax.Array, model: jt.Model = model, resolution: str = resolution) -> jax.Array:
