@@ -11,11 +11,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxtissue.compilation.fusion import fusion_barrier
 from jaxtissue.geometry.domains import Domain, Frame
 from jaxtissue.geometry.vectors import Vector, add, dot, scale, subtract
 from jaxtissue.sections.cells import Layers
 from jaxtissue.sections.half_planes import number_in, with_number
-from jaxtissue.sections.polygons import Edges, Polygon, to_corner
+from jaxtissue.sections.polygons import Edges, Polygon
 from jaxtissue.sections.views import View, gap
 
 LEVEL = 1e-3  # the sine of the angle of two walls on a layer below which the course of their edge is not known
@@ -55,10 +56,14 @@ def _lifespans(domain: Domain, view: View, polygon: Polygon, other: Edges) -> li
 
     To first order from the corner, and then by one step from where the edge is at the height found so.
     """
-    edges = polygon.edge, other
-    flat = view.frame(domain, polygon.end)
-    drift, course = _drift(flat, view, edges)
-    mine, candidates = view.own.offset(flat.point), len(view.is_there)
+    edges, candidates = (polygon.edge, other), len(view.is_there)
+
+    def corners() -> tuple[Vector, Vector, Vector]:
+        flat = view.frame(domain, polygon.end)
+        return flat.point, *_corner(flat, view, polygon.end, edges)[1:]
+
+    point, drift, course = fusion_barrier(corners, view.anchor)
+    mine = view.own.offset(point)
     number = jnp.arange(candidates).reshape(-1, 1, 1)
 
     def first_ends(corner: tuple[Vector, Vector, Vector, Array, Array]) -> Array:
@@ -71,7 +76,7 @@ def _lifespans(domain: Domain, view: View, polygon: Polygon, other: Edges) -> li
         ends = (jnp.where(others & (sign * rate < 0), time, AGES) for sign in (1, -1))
         return jax.lax.complex(*(with_number(time, number, candidates).min(axis=0) for time in ends))
 
-    found = jax.lax.map(first_ends, (flat.point, course, mine, polygon.packed.line, polygon.after))
+    found = jax.lax.map(first_ends, (point, course, mine, polygon.packed.line, polygon.after))
 
     def again(sign: int, coded: Array) -> Array:
         time, rival = coded, number_in(coded, candidates)
@@ -79,28 +84,41 @@ def _lifespans(domain: Domain, view: View, polygon: Polygon, other: Edges) -> li
         rise = jnp.where(near, sign * time, 0)
         there = view._replace(height=view.height + rise)
         z = add(polygon.end, scale(rise, drift))
-        z = add(z, to_corner(domain, there, z, *edges))
         flat = there.frame(domain, z)
+        step, _, course = _corner(flat, there, z, edges)
         left = gap(flat, view.own, view.rivals.take(rival))
-        rate = sign * dot(left.pull, _drift(flat, there, edges)[1])
-        more = jnp.clip(left.value / jnp.where(rate < 0, -rate, jnp.inf), -time / 2, time / 2)
+        rate = sign * dot(left.pull, course)
+        rest = left.value + dot(left.slope, step)
+        more = jnp.clip(rest / jnp.where(rate < 0, -rate, jnp.inf), -time / 2, time / 2)
         return jnp.where(near, time + more, time)
 
-    return [again(1, found.real), again(-1, found.imag)]
+    spans = (1, found.real), (-1, found.imag)
+    return [fusion_barrier(lambda side=side: again(*side), view.anchor) for side in spans]
 
 
-def _drift(flat: Frame, view: View, edges: tuple[Edges, Edges]) -> tuple[Vector, Vector]:
-    """How far corners move on their layer per height, and their edges in space: straight up where walls are one."""
-    (a, b, up), (c, d, other_up) = (_slope(flat, view, edge) for edge in edges)
+def _corner(flat: Frame, view: View, z: Vector, edges: tuple[Edges, Edges]) -> tuple[Vector, Vector, Vector]:
+    """The step to the corner of two walls, how far it moves on the layer per height, and its edge in space.
+
+    Where walls are nearly one, the edge goes straight up.
+    """
+    (a, b, value, up), (c, d, other_value, other_up) = (_slope(flat, view, z, edge) for edge in edges)
     sine = a * d - b * c
     sharp = jnp.abs(sine) > LEVEL * jnp.sqrt((a**2 + b**2) * (c**2 + d**2))
     share = jnp.where(sharp, 1 / jnp.where(sharp, sine, 1), 0)
-    drift = share * (b * other_up - d * up), share * (c * up - a * other_up)
-    return drift, add(add(scale(drift[0], flat.first), scale(drift[1], flat.second)), flat.upward)
+
+    def offset(one: Array, other: Array) -> Vector:
+        """Where gaps that are so large vanish, to first order."""
+        return share * (b * other - d * one), share * (c * one - a * other)
+
+    drift = offset(up, other_up)
+    course = add(add(scale(drift[0], flat.first), scale(drift[1], flat.second)), flat.upward)
+    return offset(value, other_value), drift, course
 
 
-def _slope(flat: Frame, view: View, edge: Edges) -> tuple[Array, Array, Array]:
-    """How the gap changes with z and with the height; limits go straight up."""
-    found = gap(flat, view.own, edge.rivals)
-    a, b = (jnp.where(edge.is_wall, s, n) for s, n in zip(found.slope, edge.plane.normal, strict=True))
-    return a, b, jnp.where(edge.is_wall, dot(found.pull, flat.upward), 0)
+def _slope(flat: Frame, view: View, z: Vector, edge: Edges) -> tuple[Array, Array, Array, Array]:
+    """How the gap changes with z, the gap, and how it changes with the height; limits go straight up."""
+    found, plane = gap(flat, view.own, edge.rivals), edge.plane
+    wall = (*found.slope, found.value, dot(found.pull, flat.upward))
+    limit = (*plane.normal, dot(plane.normal, z) - plane.offset, jnp.zeros_like(found.value))
+    a, b, value, up = (jnp.where(edge.is_wall, one, other) for one, other in zip(wall, limit, strict=True))
+    return a, b, value, up

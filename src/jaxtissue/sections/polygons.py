@@ -184,7 +184,7 @@ def _cut_out(domain: Domain, view: View, planes: HalfPlanes, rule: Rule) -> Poly
     edge, other = edges_of(planes, view, packed.line, anchor), edges_of(planes, view, after, anchor)
     rough = end = fusion_barrier(lambda: crossing(edge.plane, other.plane, 1e-5), anchor)
     for _ in range(rule.steps):
-        end = fusion_barrier(lambda z=end: add(z, to_corner(domain, view, z, edge, other)), anchor)
+        end = fusion_barrier(lambda z=end: add(z, _to_corner(domain, view, z, edge, other)), anchor)
 
     def starts() -> Vector:
         slot, exists = take((packed.slot, cuts.exists), before)
@@ -252,7 +252,7 @@ def distance_to_wall(flat: Frame, view: View, z: Vector, edge: Edges) -> tuple[V
     return (x, y), jnp.where(fit, found.value / steep, edge.plane.offset - dot(edge.plane.normal, z))
 
 
-def to_corner(domain: Domain, view: View, z: Vector, edge: Edges, other: Edges) -> Vector:
+def _to_corner(domain: Domain, view: View, z: Vector, edge: Edges, other: Edges) -> Vector:
     """One step of Newton's method to the corner of two walls; none where they are nearly parallel, and none too far."""
     flat = view.frame(domain, z)
     (a, b), inside = distance_to_wall(flat, view, z, edge)
