@@ -11,6 +11,7 @@ from known import known
 
 import jaxtissue as jt
 from jaxtissue.measurement.quadrature import PRESETS, plan_lines, trace_lines
+from jaxtissue.minimization.lbfgs import LBFGS, Point
 from jaxtissue.minimization.relaxation import MINIMIZERS
 from jaxtissue.minimization.traced_energy import TracedEnergy
 from jaxtissue.minimization.tube_energy import TubeEnergy
@@ -184,6 +185,28 @@ def test_area_gradients_on_few_layers_are_those_of_true_areas(x64):
     few, many = (np.asarray(slope(place, model, neighbors, resolution=layers)) for layers in ("4x1", "24x1"))
     cosine = (few * many).sum() / np.linalg.norm(few) / np.linalg.norm(many)
     assert cosine > 0.999  # the bar; measured 0.9993, and 0.9965 with the corners counted so
+
+
+def test_where_changes_of_the_energy_are_noise_slopes_lead_on():
+    """The gradient vanishes 1e-5 away from the lowest energy, which is lower there by 1e-10 of it at most."""
+    stiff, away = np.array([[1.0, 3.0], [0.3, 2.0]]), 1e-5
+
+    def reached(noise: float) -> float:
+        def function(place):
+            return Point(place, 1 + (stiff * place**2).sum() / 2, stiff * (place - away), noise)
+
+        minimizer, here = LBFGS(), function(np.ones((2, 2)))
+        points = [here := minimizer.step(function, here, 1.0) for _ in range(40)]
+        return min(float(np.linalg.norm(point.gradient)) for point in points if point.energy <= 1 + 1e-9)
+
+    assert reached(1e-9) < 1e-12 < 1e-10 < reached(0.0)  # by leaps alone
+
+
+def test_traced_energies_lead_on_by_slopes_in_any_session(start, dtype):
+    energy = TracedEnergy(jt.tube_model(TUBE, CELLS), CELLS)
+    here = energy(energy.placed(start))
+    assert here._replace(energy=here.energy * (1 + 1e-10)).is_level_with(here)
+    assert not here._replace(energy=here.energy * (1 + 1e-8)).is_level_with(here)
 
 
 def test_lines_of_traced_tubes_are_those_of_tubes(dtype):

@@ -123,7 +123,7 @@ class TracedEnergy(PlacedEnergy):
         units = np.array([1.0, (float(tube.apical_radius) + float(tube.basal_radius)) / 2])
         width = (2 * np.pi * units[1] * float(tube.length) / cells) ** 0.5
         super().__init__(in_precision(model, np.float64), units, width)
-        self.stalled = 1e-13  # whatever the session's precision
+        self.stalled, self.noise = 1e-13, 1e-9  # whatever the session's precision
 
     def positions(self, place: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """(axial, angle) of the backbones, in 64 bits."""
