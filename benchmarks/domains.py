@@ -35,7 +35,7 @@ SHAPES = {
     "sphere": jt.Sphere(1, 1.5),
 }
 SAMPLES = 24  # of the exact path: 8 triangles across a cell, on 8 layers
-CONVERGED = plan_layers(20, check=False), RULE._replace(passes=5, steps=3, best=True)
+CONVERGED = plan_layers(20, check=False), RULE._replace(passes=5, steps=3)
 
 
 def cases() -> dict[str, tuple[Any, np.ndarray, np.ndarray, np.ndarray]]:

@@ -173,18 +173,18 @@ def test_a_sphere_has_the_cells_of_the_spherical_diagram():
 
 
 def test_errors_of_large_cells_are_told(egg, monkeypatch):
-    """Cells as wide as the surface is curved: by two passes a cell is off by 2 %, and that is told; not by more."""
+    """Cells as wide as the surface is curved: by one pass a cell is off by 1 %, and that is told; not by more."""
     place, exact = egg
     cells = jt.measure_tissue(place, EGG)
     assert errors(cells.volume, exact.volume) < 1e-3 and errors(cells.lateral_area, exact.lateral_area) < 2e-3
-    monkeypatch.setattr(domain_tissue, "THOROUGH", RULE)
+    monkeypatch.setattr(domain_tissue, "THOROUGH", RULE._replace(passes=1))
     with pytest.warns(UserWarning) as told:
         cells = jt.measure_tissue(place, EGG)
     tiling, over = (str(warning.message) for warning in told)
     assert "more or less than a layer" in tiling and "the volume of" in over
     worst = int(np.argmax(np.asarray(cells.volume_error)))
     assert f"1 % of the mean: cells {worst} (" in over and over.endswith("use a finer resolution or more cells")
-    assert errors(cells.volume, exact.volume) < 1e-2 and errors(cells.lateral_area, exact.lateral_area) < 5e-3
+    assert errors(cells.volume, exact.volume) < 2e-2 and errors(cells.lateral_area, exact.lateral_area) < 1e-2
     off = np.abs(np.asarray(cells.volume, float) - exact.volume)
     assert (off <= np.asarray(cells.volume_error)).mean() > 0.95
 

@@ -21,9 +21,9 @@ from jaxtissue.dynamics.spans import Trail
 from jaxtissue.dynamics.surface_moves import longest_move
 from jaxtissue.energy import Model
 from jaxtissue.geometry.nodes import bends_of
-from jaxtissue.measurement.quadrature import Resolution, section_layers
+from jaxtissue.measurement.quadrature import SECTIONS, Resolution, section_layers
 from jaxtissue.neighbors.section_lists import crowd_of
-from jaxtissue.sections.cells import MANY_SLOTS, RULE, Layers, plan_layers
+from jaxtissue.sections.cells import MANY_SLOTS, QUICK, RULE, Layers, plan_layers
 from jaxtissue.sections.crowd import tell_of_turning, turning_cells
 
 Plan = Sequence[Int[np.ndarray, "rounds width"]]
@@ -157,7 +157,8 @@ def domain_run(
     cells = max(1, round(float(model.domain.volume) / float(model.mean_volume)))
     nothing = Surroundings(*[np.zeros((cells, 1), np.int32)] * 4)
     longest = np.asarray(longest_move(model.domain, cells), jnp.result_type(float))  # type: ignore[arg-type]
-    return DomainRun(model, seed, temperatures, count, Scene(model, nothing, run_layers(model, count), longest, RULE))
+    rule = QUICK if count <= SECTIONS["draft"] else RULE
+    return DomainRun(model, seed, temperatures, count, Scene(model, nothing, run_layers(model, count), longest, rule))
 
 
 def run_layers(model: Model, count: int, bends: Float[Array | np.ndarray, " k"] | None = None) -> Layers:

@@ -22,7 +22,8 @@ from jaxtissue.measurement.cell_geometry import CellGeometry
 from jaxtissue.sections.cells import Layers
 from jaxtissue.sections.half_planes import take
 from jaxtissue.sections.influence import Trace, sides, trace_of, would_be_side
-from jaxtissue.sections.polygons import Polygon, Rule, Sections, find_polygons, measure_polygons
+from jaxtissue.sections.polygons import Polygons, Rule, find_polygons
+from jaxtissue.sections.sizes import Sections, measure_polygons
 from jaxtissue.sections.views import View, look
 
 BLOCK = 32  # cells measured together: more would often be empty
@@ -84,7 +85,7 @@ class Changes(NamedTuple):
     cells: Cells
 
 
-def find(own: Place, rivals: Place, is_there: Bool[Array, "q cells"], scene: Scene) -> tuple[View, Polygon]:
+def find(own: Place, rivals: Place, is_there: Bool[Array, "q cells"], scene: Scene) -> tuple[View, Polygons]:
     """The view of cells at places [cells] with rivals at places [q, cells], and their polygons, pass by pass."""
     domain, heights = scene.domain, heights_for(own, scene)
     middle = centers(domain, own, heights)
@@ -98,10 +99,10 @@ def heights_for(place: Place, scene: Scene) -> Float[Array, " layers"]:
 
 
 def measure(
-    view: View, polygons: Polygon, scene: Scene, numbers: Int[Array, "cells"], rivals: Int[Array, "q cells"]
+    view: View, polygons: Polygons, scene: Scene, numbers: Int[Array, "cells"], rivals: Int[Array, "q cells"]
 ) -> tuple[Cells, Sections]:
     """The sizes of cells by their polygons, with the numbers of the cells and of their rivals."""
-    last = jax.tree.map(lambda table: table[-1], polygons)
+    last = jax.tree.map(lambda table: table[-1], polygons.passes)
     sections = measure_polygons(scene.domain, view, scene.rule, last)
     wall, weights = sections.wall, jnp.asarray(scene.layers.weights, sections.wall.dtype)[0]
     if scene.model.adhesion is not None:
@@ -110,7 +111,7 @@ def measure(
     surfaces = [*sections.area[-2:], *sections.length.sum(axis=0)[-2:]]
     sizes = CellGeometry(weights @ sections.volume, weights @ wall.sum(axis=0), *surfaces * scene.model.has_surfaces)
     trace = jax.tree.map(lambda table: jnp.moveaxis(table, -1, 0), trace_of(polygons))
-    spare = polygons.spare.max(axis=(0, 1))
+    spare = polygons.passes.spare.max(axis=(0, 1))
     return Cells(sizes, sides(polygons, len(rivals)).T, trace, spare), sections
 
 

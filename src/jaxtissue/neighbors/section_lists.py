@@ -14,7 +14,8 @@ from jaxtissue.geometry.nodes import as_nodes
 from jaxtissue.geometry.vectors import components
 from jaxtissue.sections.cells import MANY_SLOTS, RULE, CellSizes, Layers, cell_sections, cell_sizes, corner_points
 from jaxtissue.sections.crowd import Crowd, extended, first_lists, gather_bent, gather_crowd, missing, padded
-from jaxtissue.sections.polygons import Rule, Sections
+from jaxtissue.sections.polygons import Rule
+from jaxtissue.sections.sizes import Sections
 
 ROUNDS = 8  # of looking for missing neighbors
 

@@ -13,10 +13,12 @@ from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.nodes import as_nodes, on_layers
 from jaxtissue.geometry.vectors import Vector, components
 from jaxtissue.sections.crowd import gather_bent, gather_crowd
-from jaxtissue.sections.polygons import Rule, Sections, measure_sections
+from jaxtissue.sections.polygons import Rule
+from jaxtissue.sections.sizes import Sections, measure_sections
 from jaxtissue.sections.views import View, look
 
-RULE = Rule(slots=14, passes=2, steps=1, rays=2)
+RULE = Rule(slots=14, passes=3, steps=1, rays=2)
+QUICK = RULE._replace(passes=2)  # a fifth less time for a sweep
 MANY_SLOTS = 31  # as many edges as five bits can number
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtissue.sections.polygons import Sections
+from jaxtissue.sections.sizes import Sections
 
 
 class LayerContacts(NamedTuple):

@@ -26,58 +26,42 @@ class HalfPlanes(NamedTuple):
     offset: Array
 
 
-class Cuts(NamedTuple):
-    """Where each line is cut by the others: from `start` to `end` along its direction, and by which of them."""
-
-    start: Array
-    end: Array
-    before: Int[Array, "lines *T"]  # the line that cuts it at its start
-    after: Int[Array, "lines *T"]
-
-    @property
-    def exists(self) -> Bool[Array, "lines *T"]:
-        """Whether anything is left of each line: then it is an edge of the polygon."""
-        return self.start < self.end
-
-
-def cut(planes: HalfPlanes, anchor: Array) -> Cuts:
-    """Cut each line by all others: no order, no branch.
+def cut(planes: HalfPlanes, anchor: Array) -> Bool[Array, "lines *T"]:
+    """Cut each line by all others, no order, no branch: of which something is left, these are edges of the polygon.
 
     Line j is the points c_j n_j + s t_j, and s (n_k . t_j) <= c_k - c_j n_k . n_j for all k. Only the numbers of lines
-    go on from here into sizes, so derivatives stop. The number of the line that cuts rides in the lowest bits of s, and
-    start and end are one complex number: two results would each repeat the loop.
+    go on from here into sizes, so derivatives stop. Start and end are one complex number: two results would each
+    repeat the loop.
     """
     planes = jax.tree.map(jax.lax.stop_gradient, planes)
     c, along = planes.offset, turned(planes.normal)
     lines = c.shape[0]
 
-    def narrow(start: Array, end: Array, k: Array | int, other: HalfPlanes) -> tuple[Array, Array]:
+    def narrow(start: Array, end: Array, other: HalfPlanes) -> tuple[Array, Array]:
         slope = dot(other.normal, along)
         room = other.offset - c * dot(other.normal, planes.normal)
         crossed = jnp.abs(slope) > PARALLEL
         at = room / jnp.where(crossed, slope, 1)
         never = ~crossed & (room < -10 * PARALLEL * jnp.abs(c))  # a line does not end itself, by rounding
-        coded = with_number(at, k, lines)
-        upper = jnp.where(crossed & (slope > 0), coded, jnp.where(never, -FAR, FAR))
-        lower = jnp.where(crossed & (slope < 0), coded, -FAR)
+        upper = jnp.where(crossed & (slope > 0), at, jnp.where(never, -FAR, FAR))
+        lower = jnp.where(crossed & (slope < 0), at, -FAR)
         return jnp.where(lower > start, lower, start), jnp.where(upper < end, upper, end)
 
-    def several(found: Array, first: Array | int, some: HalfPlanes) -> Array:
+    def several(found: Array, some: HalfPlanes) -> Array:
         start, end = found.real, found.imag
         for k in range(some.offset.shape[0]):
-            start, end = narrow(start, end, first + k, jax.tree.map(lambda table, at=k: table[at], some))
+            start, end = narrow(start, end, jax.tree.map(lambda table, at=k: table[at], some))
         return jax.lax.complex(start, end)
 
     found = jax.lax.complex(jnp.full_like(c, -FAR), jnp.full_like(c, FAR))
     at_once = max(k for k in range(1, min(lines, CHUNK) + 1) if lines % k == 0)  # no rest, which is compiled apart
     chunks = jax.tree.map(lambda table: table.reshape(-1, at_once, *table.shape[1:]), planes)
 
-    def turn(found: Array, chunk: tuple[Array, HalfPlanes]) -> tuple[Array, None]:
-        return fusion_barrier(lambda: several(found, *chunk), anchor), None
+    def turn(found: Array, chunk: HalfPlanes) -> tuple[Array, None]:
+        return fusion_barrier(lambda: several(found, chunk), anchor), None
 
-    found, _ = jax.lax.scan(turn, found, (jnp.arange(0, lines, at_once), chunks))
-    start, end = found.real, found.imag
-    return Cuts(start, end, number_in(start, lines), number_in(end, lines))
+    found, _ = jax.lax.scan(turn, found, chunks)
+    return found.real < found.imag
 
 
 def deepest(
@@ -100,6 +84,26 @@ def deepest(
 
     best = fusion_barrier(search, anchor)
     return best, number_in(best, slots)
+
+
+def nearer_corners(
+    is_corner: Bool[Array, "slots *T"], points: Vector, away: Array, offset: Callable[[Vector], Vector], anchor: Array
+) -> tuple[Array, Int[Array, "q *T"]]:
+    """The same as `deepest`, and in bits which corners each rival is nearer to."""
+    slots, recast = is_corner.shape[0], jax.lax.bitcast_convert_type
+    integer = jnp.int64 if away.dtype == jnp.float64 else jnp.int32
+
+    def search() -> Array:
+        best, bits = jnp.asarray(FAR, away.dtype), jnp.zeros((), integer)
+        for k in range(slots):
+            theirs = offset(tuple(part[k] for part in points))
+            coded = with_number(dot(theirs, theirs) - away[k], k, slots)
+            best = jnp.where(is_corner[k] & (coded < best), coded, best)
+            bits = jnp.where(is_corner[k] & (coded < 0), bits | (1 << k), bits)
+        return jax.lax.complex(best, recast(bits, away.dtype))
+
+    found = fusion_barrier(search, anchor)
+    return found.real, recast(found.imag, integer).astype(jnp.int32)
 
 
 def with_number(size: Array, number: Array | int, count: int) -> Array:

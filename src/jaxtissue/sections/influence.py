@@ -14,7 +14,7 @@ from jaxtissue.compilation.fusion import fusion_barrier
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.vectors import Vector, dot, subtract
 from jaxtissue.sections.half_planes import FAR, deepest
-from jaxtissue.sections.polygons import Polygon, lines_at
+from jaxtissue.sections.polygons import Polygons, lines_at
 from jaxtissue.sections.views import View, first_places
 
 SLACK = 1e-5  # of the way to a corner, by which a line may miss it and counts as cutting it off
@@ -36,33 +36,35 @@ class Trace(NamedTuple):
     away: Array
 
 
-def trace_of(polygons: Polygon) -> Trace:
-    """The trace of polygons, [passes, ...]."""
-    is_edge, rough = polygons.packed.is_edge, jax.tree.map(lambda table: table[0], polygons.rough)
-    point = jax.tree.map(lambda table: table[:-1], polygons.point)
-    return Trace(rough, is_edge[0], point, jnp.where(is_edge[:-1], polygons.away[:-1], -1))
+def trace_of(polygons: Polygons) -> Trace:
+    """The trace of polygons."""
+    is_edge, passes = polygons.passes.ring.is_edge, polygons.passes
+    point = jax.tree.map(lambda table: table[:-1], passes.point)
+    return Trace(polygons.rough, is_edge[0], point, jnp.where(is_edge[:-1], passes.away[:-1], -1))
 
 
-def sides(polygons: Polygon, candidates: int) -> Bool[Array, "q cells"]:
+def sides(polygons: Polygons, candidates: int) -> Bool[Array, "q cells"]:
     """Which candidates are a side of the polygon of a cell in any pass and on any layer."""
-    return polygons.exists[:, :candidates].any(axis=(0, 2))
+    ring = polygons.passes.ring
+    number, found = jnp.arange(candidates).reshape(-1, 1, 1, 1), False
+    for k in range(ring.line.shape[1]):
+        found |= ring.is_edge[:, k] & (ring.line[:, k] == number)
+    return jnp.asarray(found).any(axis=(1, 2))
 
 
-def clearances(view: View, polygons: Polygon, unit: Float[Array, "layers 1"]) -> Float[Array, "q cells"]:
+def clearances(view: View, polygons: Polygons, unit: Float[Array, "layers 1"]) -> Float[Array, "q cells"]:
     """By how much each candidate's wall misses all corners, in any pass: at most 0 for sides; in the layers' units."""
-    candidates = view.is_there.shape[0]
-    planes, rough, is_edge = jax.tree.map(
-        lambda table: table[0], (polygons.planes, polygons.rough, polygons.packed.is_edge)
-    )
-    x, y, offset = (table[:candidates, None] for table in (*planes.normal, planes.offset))
+    candidates, passes = view.is_there.shape[0], polygons.passes
+    is_edge, rough = passes.ring.is_edge, polygons.rough
+    x, y, offset = (table[:candidates, None] for table in (*polygons.planes.normal, polygons.planes.offset))
     room = (offset - x * rough[0] - y * rough[1]) / unit
-    room = jnp.where(is_edge, room, FAR).min(axis=(1, 2))
+    room = jnp.where(is_edge[0], room, FAR).min(axis=(1, 2))
     apart = subtract(view.rivals.apical, view.own.apical)
     half = 2 * jnp.sqrt(dot(apart, apart)) * unit
-    for k in range(polygons.spare.shape[0]):
-        point = jax.tree.map(lambda table, k=k: table[k], polygons.point)
-        edges, away = polygons.packed.is_edge[k], polygons.away[k]
-        room = jnp.minimum(room, (deepest(edges, point, away, view.rivals.offset, view.anchor)[0] / half).min(axis=1))
+    for k in range(len(is_edge)):
+        point = jax.tree.map(lambda table, k=k: table[k], passes.point)
+        depth = deepest(is_edge[k], point, passes.away[k], view.rivals.offset, view.anchor)[0]
+        room = jnp.minimum(room, (depth / half).min(axis=1))
     return jnp.where(sides(polygons, candidates), jnp.minimum(room, 0), room)
 
 

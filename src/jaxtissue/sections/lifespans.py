@@ -15,7 +15,7 @@ from jaxtissue.compilation.fusion import fusion_barrier
 from jaxtissue.geometry.domains import Domain, Frame
 from jaxtissue.geometry.vectors import Vector, add, dot, scale, subtract
 from jaxtissue.sections.cells import Layers
-from jaxtissue.sections.half_planes import number_in, with_number
+from jaxtissue.sections.half_planes import number_in, take, with_number
 from jaxtissue.sections.polygons import Edges, Polygon
 from jaxtissue.sections.views import View, gap
 
@@ -41,7 +41,8 @@ def corner_weights(domain: Domain, view: View, polygon: Polygon, other: Edges, l
     late = jnp.where(end < jnp.append(height[1:], 1)[:, None], end - top, 0)
     early = jnp.where(begin > jnp.append(0, height[:-1])[:, None], top - w - begin, 0)
     # the same edge on a layer and on the next one, [slots there, slots here, layers - 1, n]
-    code = jnp.where(polygon.packed.is_edge, polygon.packed.line * len(polygon.exists) + polygon.after, -1)[:, order]
+    ring, lines = polygon.ring, len(view.is_there) + 4
+    code = jnp.where(ring.is_edge, ring.line * lines + take(ring.line, ring.after), -1)[:, order]
     same = (code[:, None, 1:] == code[:, :-1]) & (code[:, :-1] >= 0) & ((w[1:] > 0) & (w[:-1] > 0))
     # on straight lines: the last layer counts more, the one before less
     step = jnp.diff(h, axis=0)
@@ -76,7 +77,8 @@ def _lifespans(domain: Domain, view: View, polygon: Polygon, other: Edges) -> li
         ends = (jnp.where(others & (sign * rate < 0), time, AGES) for sign in (1, -1))
         return jax.lax.complex(*(with_number(time, number, candidates).min(axis=0) for time in ends))
 
-    found = jax.lax.map(first_ends, (point, course, mine, polygon.packed.line, polygon.after))
+    ring = polygon.ring
+    found = jax.lax.map(first_ends, (point, course, mine, ring.line, take(ring.line, ring.after)))
 
     def again(sign: int, coded: Array) -> Array:
         time, rival = coded, number_in(coded, candidates)

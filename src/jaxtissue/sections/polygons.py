@@ -1,8 +1,8 @@
-"""Sections of cells: polygons on layers whose edges are the walls, refined by Newton's method and integrated.
+"""The polygon of each cell on a layer: which walls bound it, in their order, and where they meet.
 
-On a layer a cell is nearly a polygon, since walls between neighbors are nearly flat. Each rival's wall is one line,
-taken at half the way to it and again at the middle of its edge; lines cut each other, and the two corners and the
-middle of each edge move onto the true walls.
+On a layer a cell is nearly a polygon, since walls between neighbors are nearly flat. At first each rival's wall is one
+line, taken at half the way to it, and lines cut each other. Then corners move onto the true walls; edges that have
+turned round go, and rivals that are nearer to a corner come in there.
 """
 
 from typing import NamedTuple
@@ -13,16 +13,25 @@ from jaxtyping import Array, Bool, Int
 
 from jaxtissue.compilation.fusion import fusion_barrier
 from jaxtissue.geometry.domains import Domain, Frame
-from jaxtissue.geometry.vectors import Vector, add, area, dot, each, scale, subtract, turned
-from jaxtissue.sections.half_planes import FAR, HalfPlanes, Packed, crossing, cut, deepest, pack, take
-from jaxtissue.sections.rims import beyond, fill, joined, mean, parts
-from jaxtissue.sections.views import Backbones, View, as_half_planes, first_places, gap, limit_planes
+from jaxtissue.geometry.vectors import Vector, add, dot, each, scale, subtract, turned
+from jaxtissue.sections.half_planes import (
+    FAR,
+    HalfPlanes,
+    crossing,
+    cut,
+    nearer_corners,
+    number_in,
+    pack,
+    take,
+    with_number,
+)
+from jaxtissue.sections.rims import joined
+from jaxtissue.sections.rings import Insertion, Ring, inserted, numbered, ordered, pairs_at_most, without
+from jaxtissue.sections.views import LEAST_SLOPE, Backbones, View, as_half_planes, first_places, gap, limit_planes
 
 SHARP = 0.03  # the sine of the angle of two walls below which their corner stays that of the lines
-STEEP = 0.3  # the least cosine between an edge and its chord
 STRIDE = 0.3  # of the way from the backbone to a corner, or of a chord: points move no farther
-LEAST_SLOPE = 1e-6
-ASTRAY = 1e-3  # of squares of distances, by which corners may be off their walls
+INSERTED = 2  # edges in one pass, at most
 
 
 class Rule(NamedTuple):
@@ -30,201 +39,172 @@ class Rule(NamedTuple):
 
     Attributes:
         slots: The largest number of edges of a section.
-        passes: How often the walls are taken as lines, each time nearer to their edges.
+        passes: How often the edges are looked for.
         steps: How many steps of Newton's method corners and middles take to the walls.
         rays: How many points between the backbone and the rim are looked at, 1 or 2.
-        best: Whether an earlier pass is taken where the last one has gone astray.
     """
 
     slots: int = 14
-    passes: int = 2
+    passes: int = 3
     steps: int = 1
     rays: int = 2
-    best: bool = False
-
-
-class Sections(NamedTuple):
-    """The sections of cells on layers; tables end with the axes of layers and cells, *T.
-
-    Attributes:
-        line: The line of each edge, [slots, *T]: a candidate's number, or, from q on, one of the four limits.
-        after: The line that follows it counterclockwise.
-        is_edge: Which slots hold an edge.
-        wall: The area of each wall per height, 0 at limits.
-        length: The length of each edge, 0 at limits.
-        volume: The volume per height, [*T].
-        area: The area of the section, [*T].
-        corner: The point where each edge ends, components [slots, *T].
-        middle: The middle of each edge.
-        spare: How many edges found no slot, [*T]; 0 or less where all did.
-        doubt: By how much the volume and the area of all walls may be off, per height, [*T] each.
-    """
-
-    line: Int[Array, "slots *T"]
-    after: Int[Array, "slots *T"]
-    is_edge: Bool[Array, "slots *T"]
-    wall: Array
-    length: Array
-    volume: Array
-    area: Array
-    corner: Vector
-    middle: Vector
-    spare: Int[Array, "*T"]
-    doubt: tuple[Array, Array]
 
 
 class Edges(NamedTuple):
-    """The edges in slots: their lines as taken last, and the walls that they are of."""
+    """The edges in slots: lines along them, and the walls that they are of."""
 
     plane: HalfPlanes
     rivals: Backbones
     is_wall: Bool[Array, "slots *T"]
 
+    def take(self, number: Int[Array, "slots *T"]) -> "Edges":
+        """Those in other slots."""
+        return Edges(take(self.plane, number), self.rivals.take(number), take(self.is_wall, number))
+
 
 class Polygon(NamedTuple):
-    """The polygon of each cell as one pass gives it: its edges in slots, from corner to corner."""
+    """The polygon of each cell as one pass gives it: its edges in slots, from corner to corner.
 
-    packed: Packed
+    Attributes:
+        ring: The edges in their order.
+        edge: Their chords, and their walls.
+        start: Where they start.
+        end: Where they end.
+        is_turned: Whether an edge ends before it starts: then it is none.
+        spare: How many edges found no slot; 0 or less where all did.
+        point: `end` in space.
+        away: The square of its distance to the own backbone.
+    """
+
+    ring: Ring
     edge: Edges
     start: Vector
     end: Vector
-    after: Int[Array, "slots *T"]
+    is_turned: Bool[Array, "slots *T"]
     spare: Int[Array, "*T"]
-    rough: Vector  # `end`, before it was moved onto the walls
-    planes: HalfPlanes  # all lines, [lines, *T]
-    exists: Bool[Array, "lines *T"]
-    before: Int[Array, "slots *T"]
-    point: Vector  # `end` in space
-    away: Array  # its distance to the own backbone, squared
+    point: Vector
+    away: Array
 
 
-def measure_sections(domain: Domain, view: View, rule: Rule) -> Sections:
-    """Measure the section of each cell on each layer."""
-    return measure_polygons(domain, view, rule, final_polygon(domain, view, rule))
+class Polygons(NamedTuple):
+    """The polygons of all passes, [passes, ...], and the first lines and where these cut each other."""
+
+    passes: Polygon
+    planes: HalfPlanes  # [lines, *T]
+    rough: Vector  # [slots, *T]
 
 
 def final_polygon(domain: Domain, view: View, rule: Rule) -> Polygon:
     """The polygon of each section that is measured."""
-    polygons = find_polygons(domain, view, rule)
-    return _best(view, polygons) if rule.best else jax.tree.map(lambda table: table[-1], polygons)
+    return jax.tree.map(lambda table: table[-1], find_polygons(domain, view, rule).passes)
 
 
-def _best(view: View, polygons: Polygon) -> Polygon:
-    """The last polygon of each section, or an earlier one whose corners are much nearer to its walls.
+def find_polygons(domain: Domain, view: View, rule: Rule) -> Polygons:
+    """The polygon of each section, by a fixed number of passes.
 
-    Chords of bent and nearly parallel walls may cut each other in the wrong order: then the next pass may be worse.
-    """
-
-    def off(corner: tuple[Array, Vector, Array]) -> Array:
-        """How much nearer or farther than the own backbone the nearest rival is, as squares, in parts."""
-        is_edge, point, away = corner
-        theirs = view.rivals.offset(point)
-        nearest = jnp.where(view.is_there, dot(theirs, theirs), FAR).min(axis=0)
-        return jnp.where(is_edge, jnp.abs(nearest / jnp.where(is_edge, away, 1) - 1), 0)
-
-    corners = polygons.packed.is_edge, polygons.point, polygons.away
-    astray = jax.lax.map(lambda these: jax.lax.map(off, these).sum(axis=0), corners)
-    last = astray.shape[0] - 1
-    which = jnp.where(astray.min(axis=0) < astray[-1] - ASTRAY, astray.argmin(axis=0), last)
-    return jax.tree.map(
-        lambda table: jnp.select([which == k for k in range(last)], list(table[:last]), table[-1]), polygons
-    )
-
-
-def measure_polygons(domain: Domain, view: View, rule: Rule, polygon: Polygon) -> Sections:
-    """Measure the sections that the last pass has found."""
-    anchor = view.anchor
-    packed, edge, start, end, after, spare, *_ = polygon
-    chord, middle = subtract(end, start), scale(0.5, add(start, end))
-    for _ in range(rule.steps):
-        middle = fusion_barrier(lambda z=middle: add(z, to_wall(domain, view, z, edge, chord)), anchor)
-    span = dot(chord, turned(edge.plane.normal))
-    is_edge = packed.is_edge & (span > 0)
-    curve = joined(start, middle, end)
-    found = fusion_barrier(lambda: integrands(domain, view, curve, joined(edge, edge, edge)), anchor)
-    wall, length = (jnp.where(is_edge & edge.is_wall, span * mean(size), 0) for size in found[:2])
-    filled = fusion_barrier(lambda: fill(domain, view, curve, is_edge, found[2], rule.rays), anchor)
-    _, at_middle, at_end = parts(found[3], 3)
-    wide = jnp.where(is_edge, jnp.abs(area(start, end)) / 2, 0)
-    long = jnp.where(is_edge & edge.is_wall, span, 0)
-    doubt = ((wide * beyond(found[2][0])).sum(axis=0), (long * beyond(found[0])).sum(axis=0))
-    return Sections(packed.line, after, is_edge, wall, length, *filled, at_end, at_middle, spare, doubt)
-
-
-def find_polygons(domain: Domain, view: View, rule: Rule) -> Polygon:
-    """The polygon of each section, by a fixed number of passes from lines to corners and back to lines, [passes, ...].
-
-    Corners are brought onto the walls. Then a wall with an edge is the line through the edge's corners, and that of a
-    rival that is nearer to a corner is a line there: so what cuts off a corner is found in the next pass. All others
-    cut nothing: far from the place where they are taken, their lines may miss the walls by much.
+    In the first one each rival's wall is a line, and lines cut each other. In the others the order of edges stays:
+    those that have turned round go, and rivals that are nearer to a corner come in there. So it does not matter that
+    chords of bent walls may turn the wrong way, where lines would cut each other off.
     """
     anchor, limits = view.anchor, limit_planes(domain, view)
     flat = view.frame(domain, (jnp.zeros((1, *view.height.shape), view.height.dtype),) * 2)
-    first = fusion_barrier(lambda: first_places(view, flat), anchor)
-    planes = fusion_barrier(lambda: lines_at(domain, view, first), anchor)
-    planes = joined(planes, *limits)
+    places = fusion_barrier(lambda: first_places(view, flat), anchor)
+    planes = joined(fusion_barrier(lambda: lines_at(domain, view, places), anchor), *limits)
+    exists = cut(planes, anchor)
+    packed = fusion_barrier(lambda: pack(exists, rule.slots), anchor)
+    plane = take(planes, packed.line)
+    ring = fusion_barrier(lambda: ordered(packed, plane.normal), anchor)
+    rough = fusion_barrier(lambda: crossing(plane, take(plane, ring.after), 1e-5), anchor)
+    first = _placed(domain, view, rule, planes, (ring, rough, exists.sum(axis=0) - rule.slots))
 
-    def more(carry: tuple[HalfPlanes, Polygon], is_first: Array) -> tuple[tuple[HalfPlanes, Polygon], Polygon]:
-        planes = jax.lax.cond(is_first, lambda: carry[0], lambda: _refined(domain, view, *carry))
-        polygon = _cut_out(domain, view, planes, rule)
-        return (planes, polygon), polygon
+    def more(polygon: Polygon, _: None) -> tuple[Polygon, Polygon]:
+        polygon = _placed(domain, view, rule, planes, mended(view, polygon))
+        return polygon, polygon
 
-    none = jax.tree.map(
-        lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(lambda: _cut_out(domain, view, planes, rule))
-    )
-    return jax.lax.scan(more, (planes, none), jnp.arange(rule.passes) == 0)[1]
+    _, others = jax.lax.scan(more, first, None, length=rule.passes - 1)
+    passes = jax.tree.map(lambda table, rest: jnp.concatenate([table[None], rest]), first, others)
+    return Polygons(passes, planes, rough)
 
 
-def _cut_out(domain: Domain, view: View, planes: HalfPlanes, rule: Rule) -> Polygon:
-    """The polygon that the lines leave, with its corners moved onto the walls."""
-    anchor = view.anchor
-    cuts = cut(planes, anchor)
-    packed = fusion_barrier(lambda: pack(cuts.exists, rule.slots), anchor)
-    before, after = fusion_barrier(lambda: take((cuts.before, cuts.after), packed.line), anchor)
-    edge, other = edges_of(planes, view, packed.line, anchor), edges_of(planes, view, after, anchor)
-    rough = end = fusion_barrier(lambda: crossing(edge.plane, other.plane, 1e-5), anchor)
+Draft = tuple[Ring, Vector, Array]  # the edges, about where they end, and how many more there are than slots
+
+
+def _placed(domain: Domain, view: View, rule: Rule, planes: HalfPlanes, draft: Draft) -> Polygon:
+    """The polygon with its corners moved onto the walls."""
+    anchor, (ring, end, spare) = view.anchor, draft
+    edge = edges_of(planes, view, ring.line, anchor)
+    other = fusion_barrier(lambda: edge.take(ring.after), anchor)
+    normal = edge.plane.normal
     for _ in range(rule.steps):
-        end = fusion_barrier(lambda z=end: add(z, _to_corner(domain, view, z, edge, other)), anchor)
+        step, normal = fusion_barrier(lambda z=end: _to_corner(domain, view, z, edge, other), anchor)
+        end = add(end, step)
 
-    def starts() -> Vector:
-        slot, exists = take((packed.slot, cuts.exists), before)
-        follows = exists & (take(after, slot) == packed.line)
-        apart = crossing(edge.plane, take(planes, before), 1e-5)  # from an edge too short to be found
-        return each(lambda a, b: jnp.where(follows, a, b), take(end, slot), apart)
+    def chords() -> tuple[Vector, HalfPlanes, Array]:
+        start = take(end, ring.before)
+        chord = subtract(end, start)
+        size, ahead = jnp.sqrt(dot(chord, chord)), dot(chord, turned(normal))
+        fits = (ahead > 0.5 * size) & (size > 0)
+        size = jnp.where(fits, size, 1)
+        across = each(lambda a, b: jnp.where(fits, a, b), (chord[1] / size, -chord[0] / size), normal)
+        return start, HalfPlanes(across, dot(across, end)), ring.is_edge & (ahead <= 0)
 
-    start = fusion_barrier(starts, anchor)
+    start, chord, is_turned = fusion_barrier(chords, anchor)
+    plane = jax.tree.map(lambda line, limit: jnp.where(edge.is_wall, line, limit), chord, edge.plane)
     point = fusion_barrier(lambda: view.frame(domain, end).point, anchor)
     mine = view.own.offset(point)
-    last = rough, planes, cuts.exists, before, point, dot(mine, mine)
-    return Polygon(packed, edge, start, end, after, cuts.exists.sum(axis=0) - rule.slots, *last)
+    return Polygon(ring, edge._replace(plane=plane), start, end, is_turned, spare, point, dot(mine, mine))
 
 
-def _refined(domain: Domain, view: View, planes: HalfPlanes, polygon: Polygon) -> HalfPlanes:
-    """The lines, nearer to the walls where these bound the polygon or may do so."""
-    anchor, candidates = view.anchor, view.is_there.shape[0]
-    old, limits = (jax.tree.map(lambda table, some=some: table[some], planes)
-                   for some in (slice(candidates), slice(candidates, None)))  # fmt: skip
-    slot = polygon.packed.slot[:candidates]
-    number = jnp.arange(candidates, dtype=slot.dtype).reshape(-1, 1, 1)
-    line, is_edge, start, end = fusion_barrier(
-        lambda: take((polygon.packed.line, polygon.packed.is_edge, polygon.start, polygon.end), slot), anchor
-    )
-    chord = subtract(end, start)
-    is_edge = is_edge & (line == number)
-    ahead = dot(chord, turned(old.normal))
-    is_chord = is_edge & (ahead > 0.5 * jnp.sqrt(dot(chord, chord))) & (dot(chord, chord) > 0)
-    depth, which = deepest(polygon.packed.is_edge, polygon.point, polygon.away, view.rivals.offset, anchor)
-    z = each(lambda a, b, c: jnp.where(is_edge, (a + b) / 2, c), start, end, take(polygon.end, which))
-    fresh = fusion_barrier(lambda: lines_at(domain, view, z), anchor)
-    fresh = fresh._replace(offset=jnp.where(is_edge | (depth < 0), fresh.offset, FAR))
+def mended(view: View, polygon: Polygon) -> Draft:
+    """The edges without those that have turned round, and with those of rivals that are nearer to a corner.
 
-    def with_chords() -> HalfPlanes:
-        size = jnp.sqrt(jnp.where(is_chord, dot(chord, chord), 1))
-        normal = (chord[1] / size, -chord[0] / size)
-        lines = HalfPlanes(normal, dot(normal, start))
-        return jax.tree.map(lambda line, plain: jnp.where(is_chord, line, plain), lines, fresh)
+    Of these the deepest comes in, and then another one, which is nearer to other corners; more in the next pass.
+    """
+    old = polygon.ring
+    ring = kept = without(old, pairs_at_most(polygon.is_turned, old))
+    ends = zip(polygon.end, take(polygon.start, ring.after), strict=True)
+    end = middle = tuple(jnp.where(ring.after == old.after, a, (a + b) / 2) for a, b in ends)
+    depth, outside = _nearer(view, polygon)
+    spare, used = polygon.spare, jnp.zeros_like(outside[:1])
+    for _ in range(INSERTED):
+        left = with_number(jnp.where((outside & used) == 0, depth, FAR), numbered(depth), len(depth))
+        deepest = left.min(axis=0, keepdims=True)
+        line, is_nearer = number_in(deepest, len(depth)), deepest < 0
+        corners, corner = take(outside, line), number_in(take(depth, line), len(old.line))
+        ring, found = inserted(ring, line, corners, corner, is_nearer)
+        spare = jnp.maximum(spare, jnp.where(is_nearer & ~found.is_new, 1, spare)[0])
+        end = _with_crossings(view, polygon, (kept, middle), found, end)
+        used |= jnp.where(is_nearer, corners, 0)
+    return ring, end, spare
 
-    return joined(fusion_barrier(with_chords, anchor), limits)
+
+def _nearer(view: View, polygon: Polygon) -> tuple[Array, Int[Array, "q *T"]]:
+    """How much nearer the own backbone is than each rival that is no edge, and in bits the corners where it is not."""
+    ring, turned_round = polygon.ring, polygon.is_turned
+    is_corner = ring.is_edge & ~turned_round & ~take(turned_round, ring.after)
+    depth, outside = nearer_corners(is_corner, polygon.point, polygon.away, view.rivals.offset, view.anchor)
+    may_come = view.is_there
+    for k in range(len(ring.line)):
+        may_come &= ~(ring.is_edge[k] & (ring.line[k] == numbered(depth)))
+    return jnp.where(may_come, depth, FAR), outside
+
+
+def _with_crossings(view: View, polygon: Polygon, kept: tuple[Ring, Vector], found: Insertion, end: Vector) -> Vector:
+    """The ends of edges, with those where a wall that is put in crosses two others, by its depths at their ends."""
+    ring, before = kept
+    corners = jnp.concatenate([take(ring.before, found.first), found.first, found.last, take(ring.before, found.last)])
+    theirs = view.rivals.take(found.line).offset(take(polygon.point, corners))
+    depth, z = dot(theirs, theirs) - take(polygon.away, corners), take(before, corners)
+    places = []
+    for k in (0, 2):
+        inside, beyond = jnp.maximum(depth[k], 0), jnp.minimum(depth[k + 1], -1e-30)
+        share = inside / (inside - beyond)
+        places.append(tuple(part[k] + share * (part[k + 1] - part[k]) for part in z))
+    slot = numbered(ring.line)
+    for number, place in zip((found.first, found.slot), places, strict=True):
+        here = found.is_new & (slot == number)
+        end = each(lambda a, b, here=here: jnp.where(here, b, a), end, place)
+    return end
 
 
 def lines_at(domain: Domain, view: View, z: Vector) -> HalfPlanes:
@@ -252,8 +232,11 @@ def distance_to_wall(flat: Frame, view: View, z: Vector, edge: Edges) -> tuple[V
     return (x, y), jnp.where(fit, found.value / steep, edge.plane.offset - dot(edge.plane.normal, z))
 
 
-def _to_corner(domain: Domain, view: View, z: Vector, edge: Edges, other: Edges) -> Vector:
-    """One step of Newton's method to the corner of two walls; none where they are nearly parallel, and none too far."""
+def _to_corner(domain: Domain, view: View, z: Vector, edge: Edges, other: Edges) -> tuple[Vector, Vector]:
+    """One step of Newton's method to the corner of two walls, and the normal of the first.
+
+    None where they are nearly parallel, and none too far.
+    """
     flat = view.frame(domain, z)
     (a, b), inside = distance_to_wall(flat, view, z, edge)
     (c, d), other_inside = distance_to_wall(flat, view, z, other)
@@ -261,40 +244,12 @@ def _to_corner(domain: Domain, view: View, z: Vector, edge: Edges, other: Edges)
     sharp = jnp.abs(sine) > SHARP
     share = jnp.where(sharp, 1 / jnp.where(sharp, sine, 1), 0)
     step = (share * (inside * d - other_inside * b), share * (other_inside * a - inside * c))
-    return _within(step, scale(STRIDE, z))
+    return within(step, scale(STRIDE, z)), (a, b)
 
 
-def to_wall(domain: Domain, view: View, z: Vector, edge: Edges, chord: Vector) -> Vector:
-    """One step along the edge's normal to its wall."""
-    normal, inside = distance_to_wall(view.frame(domain, z), view, z, edge)
-    cosine = dot(normal, edge.plane.normal)
-    step = scale(jnp.where(edge.is_wall, inside / jnp.maximum(cosine, STEEP), 0), edge.plane.normal)
-    return _within(step, scale(STRIDE, chord))
-
-
-def _within(step: Vector, bound: Vector) -> Vector:
+def within(step: Vector, bound: Vector) -> Vector:
     """The step, or the part of it that is no longer than the bound."""
     length2, most2 = dot(step, step), dot(bound, bound)
     long = length2 > most2
     share = jnp.sqrt(jnp.where(long, jnp.maximum(most2, 1e-30), 1) / jnp.where(long, length2, 1))
     return scale(jnp.where(long, share, 1), step)
-
-
-def integrands(domain: Domain, view: View, z: Vector, edge: Edges) -> tuple[Array, Array, tuple[Array, Array], Vector]:
-    """Per step along the edge's line, wall area per height and length; volume and area elements; the point.
-
-    The wall is a level set of g: its area is |grad g| |det dF| / |dg/dz| per length in z and per height.
-    """
-    flat = view.frame(domain, z)
-    volume, level = flat.elements()
-    found = gap(flat, view.own, edge.rivals)
-    square, whole = dot(found.slope, found.slope), dot(found.pull, found.pull)
-    fit = edge.is_wall & (square > LEAST_SLOPE**2 * whole)
-    steep = jnp.sqrt(jnp.where(fit, square, 1))
-    cosine = jnp.maximum(-dot(found.slope, edge.plane.normal) / steep, STEEP)
-    pull = jnp.sqrt(jnp.where(fit, whole, 1))
-    along = scale(1 / steep, turned(found.slope))
-    tangent = add(scale(along[0], flat.first), scale(along[1], flat.second))
-    speed = jnp.sqrt(jnp.where(fit, dot(tangent, tangent), 1))
-    volume = jnp.abs(volume)
-    return pull * volume / (steep * cosine), speed / cosine, (volume, level), flat.point

@@ -11,8 +11,9 @@ from jaxtyping import Array, Float, Int
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.vectors import Vector, add, area, dot, scale, subtract, turned
 from jaxtissue.sections.cells import Layers, cell_view
-from jaxtissue.sections.polygons import Rule, Sections, final_polygon, measure_polygons, measure_sections
+from jaxtissue.sections.polygons import Rule, final_polygon
 from jaxtissue.sections.rims import joined
+from jaxtissue.sections.sizes import Sections, measure_polygons, measure_sections
 from jaxtissue.sections.views import View
 from jaxtissue.sections.wall_speeds import Slopes, wall_speeds
 
@@ -90,7 +91,7 @@ def section_moments(domain: Domain, view: View, rule: Rule) -> Moments:
     polygon = final_polygon(domain, view, rule)
     start, end = polygon.start, polygon.end
     span = dot(subtract(end, start), turned(polygon.edge.plane.normal))
-    sweep = jnp.where(polygon.packed.is_edge & (span > 0), area(start, end), 0)
+    sweep = jnp.where(polygon.ring.is_edge & (span > 0), area(start, end), 0)
     # the middles of the three sides of a triangle: a rule of the second degree
     points: Vector = joined(scale(0.5, start), scale(0.5, end), scale(0.5, add(start, end)))
     volume = jnp.abs(view.frame(domain, points).elements()[0]) * jnp.concatenate([sweep] * 3) / 6

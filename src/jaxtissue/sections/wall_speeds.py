@@ -18,8 +18,9 @@ from jaxtissue.geometry.vectors import Vector, add, components, dot, scale, subt
 from jaxtissue.sections.cells import Layers
 from jaxtissue.sections.half_planes import take
 from jaxtissue.sections.lifespans import corner_weights
-from jaxtissue.sections.polygons import STEEP, Edges, Polygon, edges_of, integrands, to_wall
+from jaxtissue.sections.polygons import Edges, Polygon
 from jaxtissue.sections.rims import joined, mean, parts
+from jaxtissue.sections.sizes import STEEP, integrands, to_wall
 from jaxtissue.sections.views import LEAST_SLOPE, Backbones, Polylines, Segments, View, gap
 
 BLUNT = 0.03  # the sine of the angle of two walls below which their corner slides less than it should
@@ -89,7 +90,8 @@ def wall_speeds(
     """
     anchor, edge, candidates = view.anchor, polygon.edge, view.is_there.shape[0]
     owners = (jnp.maximum(lists, 0) % len(positions))[:, None]
-    lines = (polygon.packed.line, polygon.before, polygon.after)
+    ring = polygon.ring
+    lines = (ring.line, take(ring.line, ring.before), take(ring.line, ring.after))
     across, before, after = (take(owners, jnp.minimum(line, candidates - 1)) for line in lines)
     motions = _motions(domain, positions)
     own = [motion.on_layers() for motion in motions]
@@ -101,14 +103,14 @@ def wall_speeds(
     chord, middle = subtract(end, start), scale(0.5, add(start, end))
     middle = fusion_barrier(lambda: add(middle, to_wall(domain, view, middle, edge, chord)), anchor)
     span = dot(chord, turned(edge.plane.normal))
-    span = jnp.where(polygon.packed.is_edge & edge.is_wall & (span > 0), span, 0)
+    span = jnp.where(ring.is_edge & edge.is_wall & (span > 0), span, 0)
     curve, thrice = joined(start, middle, end), joined(edge, edge, edge)
     sides = fusion_barrier(
         lambda: _advances(domain, view, curve, thrice, own, [joined(*[m] * 3) for m in theirs]), anchor
     )
     sizes = fusion_barrier(lambda: integrands(domain, view, curve, thrice)[:3], anchor)
     grown = _growths(domain, view, curve, thrice, (own, theirs), sides)
-    beside = edges_of(polygon.planes, view, jnp.concatenate([polygon.before, polygon.after]), anchor)
+    beside = fusion_barrier(lambda: edge.take(jnp.concatenate([ring.before, ring.after])), anchor)
     twice, twice_theirs = joined(edge, edge), [joined(m, m) for m in theirs]
     slides = fusion_barrier(
         lambda: _slides(domain, view, joined(start, end), (twice, beside), (own, twice_theirs, others)), anchor
@@ -149,9 +151,7 @@ def _with_slides(
 def _both_ends(domain: Domain, view: View, polygon: Polygon, after: Edges, layers: Layers) -> tuple[Array, Array]:
     """The weights of the corners where edges start and end."""
     end = corner_weights(domain, view, polygon, after, layers)
-    slot, exists = take((polygon.packed.slot, polygon.exists), polygon.before)
-    follows = exists & (take(polygon.after, slot) == polygon.packed.line)
-    return jnp.where(follows, take(end, slot), 1), end
+    return take(end, polygon.ring.before), end
 
 
 def _motions(domain: Domain, positions: Float[Array, "n *k d"]) -> list[Motion]:

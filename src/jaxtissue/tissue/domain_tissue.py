@@ -25,7 +25,7 @@ LAYERS = 0.6  # of the difference of two rules
 EDGES = (0.05, 0.5)  # of what edges may add to volumes and lateral areas, as `sections.rims.beyond` gives it
 OTHERS = 0.5  # medians over the cells, since what a cell shows of its own error is small by chance in some
 FLOOR = (2e-5, 4e-5)  # of the mean cell: corners after a step of Newton's method, and rounding
-THOROUGH = RULE._replace(passes=4, best=True)
+THOROUGH = RULE._replace(passes=5)
 DEFECT = 2e-3  # of a layer, by which the sections of all cells may miss it without a warning
 
 
