@@ -1,11 +1,11 @@
 """Minimizers and Metropolis: seconds until a tissue is within 1 % of the best energy known, on tubes, sphere and slab.
 
     python benchmarks/relaxation.py [--cells 500] [--seeds 3] [--sweeps 1000] [--sweeps-on-domains 100] [--steps 40]
-    python benchmarks/relaxation.py --first 3 --seeds 5
+    python benchmarks/relaxation.py --first 3 --seeds 5 [--tissues sphere slab]
     python benchmarks/relaxation.py --again
 
-Writes benchmarks/results/relaxation.json and docs/relaxation.png; with --first the results that are there are kept and
-go on with that start, with --again only the table and the picture of them are made. From each random start all
+Writes benchmarks/results/relaxation.json and docs/relaxation.png; with --first or --keep the results that are there
+stay, and more are added, with --again only the table and the picture of them are made. From each random start all
 methods run one after the other. Compiling is apart: each method runs a little once before it is timed. Results are
 written after each tissue. Pin it to one core: `taskset -c 0`.
 """
@@ -84,7 +84,7 @@ def rows_of(name: str, domain: Any, seed: int, options: Any) -> list[dict[str, A
     sweeps = options.sweeps if isinstance(domain, jt.Tube) else options.sweeps_on_domains
     for schedule, ends in SCHEDULES.items():
         if seed == options.first:
-            metropolis(place, domain, ends, 20)
+            metropolis(place, domain, ends, min(20, sweeps // 10))
         curve = metropolis(place, domain, ends, sweeps)
         rows.append({"method": f"{METROPOLIS}, {schedule}", "curve": curve, "sweeps": sweeps})
     for methods in METHODS:
@@ -151,10 +151,12 @@ def main() -> None:
     }.items():
         parser.add_argument(f"--{name}", type=int, default=value)
     parser.add_argument("--picture", type=Path, default=common.HERE.parent / "docs" / "relaxation.png")
+    parser.add_argument("--tissues", nargs="+", choices=list(tissues(500)), help="these only")
+    parser.add_argument("--keep", action="store_true", help="add to the results that are there")
     parser.add_argument("--again", action="store_true", help="tabulate and draw the results that are there")
     options = parser.parse_args()
     rows: list[dict[str, Any]] = []
-    if options.again or options.first:
+    if options.again or options.first or options.keep:
         rows = json.loads(options.out.read_text())["rows"]
     if options.again:
         table(rows)
@@ -163,6 +165,8 @@ def main() -> None:
     sizes = {name: getattr(options, name) for name in ("cells", "sweeps", "sweeps_on_domains", "steps")}
     for seed in range(options.first, options.first + options.seeds):
         for name, domain in tissues(options.cells).items():
+            if options.tissues and name not in options.tissues:
+                continue
             rows += rows_of(name, domain, seed, options)
             load = {"load_average": os.getloadavg(), "cores": len(os.sched_getaffinity(0)), "seeds": seed + 1}
             common.write(options.out, sizes | load | {"table": table(rows), "rows": rows})
