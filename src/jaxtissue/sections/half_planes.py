@@ -64,32 +64,15 @@ def cut(planes: HalfPlanes, anchor: Array) -> Bool[Array, "lines *T"]:
     return found.real < found.imag
 
 
-def deepest(
-    is_point: Bool[Array, "slots *T"], points: Vector, away: Array, offset: Callable[[Vector], Vector], anchor: Array
-) -> tuple[Array, Int[Array, "q *T"]]:
-    """How much nearer the own backbone is than each rival at the corner where that is nearest, as squares; its slot.
-
-    `away` are the squares for the own backbone, `offset` leads from all rivals to a point. The slot rides in the lowest
-    bits, as in `cut`.
-    """
-    slots = is_point.shape[0]
-
-    def search() -> Array:
-        best = jnp.asarray(FAR, away.dtype)
-        for k in range(slots):
-            theirs = offset(tuple(part[k] for part in points))
-            coded = with_number(dot(theirs, theirs) - away[k], k, slots)
-            best = jnp.where(is_point[k] & (coded < best), coded, best)
-        return best
-
-    best = fusion_barrier(search, anchor)
-    return best, number_in(best, slots)
-
-
 def nearer_corners(
     is_corner: Bool[Array, "slots *T"], points: Vector, away: Array, offset: Callable[[Vector], Vector], anchor: Array
 ) -> tuple[Array, Int[Array, "q *T"]]:
-    """The same as `deepest`, and in bits which corners each rival is nearer to."""
+    """How much nearer the own backbone is than each rival at the corner where that is nearest, as squares.
+
+    `away` are the squares for the own backbone, `offset` leads from all rivals to a point. The number of the corner
+    rides in the lowest bits. Also returns, in bits, the corners to which each rival is nearer; both are one complex
+    number, since two results would each repeat the loop.
+    """
     slots, recast = is_corner.shape[0], jax.lax.bitcast_convert_type
     integer = jnp.int64 if away.dtype == jnp.float64 else jnp.int32
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 from jaxtissue.compilation.fusion import fusion_barrier
 from jaxtissue.geometry.domains import Domain
 from jaxtissue.geometry.vectors import Vector, dot, subtract
-from jaxtissue.sections.half_planes import FAR, deepest
+from jaxtissue.sections.half_planes import FAR, nearer_corners
 from jaxtissue.sections.polygons import Polygons, lines_at
 from jaxtissue.sections.views import View, first_places
 
@@ -63,7 +63,7 @@ def clearances(view: View, polygons: Polygons, unit: Float[Array, "layers 1"]) -
     half = 2 * jnp.sqrt(dot(apart, apart)) * unit
     for k in range(len(is_edge)):
         point = jax.tree.map(lambda table, k=k: table[k], passes.point)
-        depth = deepest(is_edge[k], point, passes.away[k], view.rivals.offset, view.anchor)[0]
+        depth = nearer_corners(is_edge[k], point, passes.away[k], view.rivals.offset, view.anchor)[0]
         room = jnp.minimum(room, (depth / half).min(axis=1))
     return jnp.where(sides(polygons, candidates), jnp.minimum(room, 0), room)
 
