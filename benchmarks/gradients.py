@@ -6,10 +6,10 @@ For random directions of all backbones but those next to an end: the cosine of t
 differences, of the volume term of the paper's energy and of the sum of all lateral areas. True sizes are those of the
 traced edges on reference tubes, of which one is measured as a domain, too, and elsewhere those of sections on 80
 layers, five passes and three steps of Newton's method. The steps are short: on a sphere or a slab, neighbors are
-exchanged on all layers at once, which gives the area a kink. On the bent tube they are longer, since sections jump a
-little where edges come and go, and differences over short steps would show that. Times are the processor's, so that
-other work on the machine counts little; those of "traced" lack the tracing, since edges are kept. Writes
-benchmarks/results/gradients.json. Pin it to one core: `taskset -c 0`.
+exchanged on all layers at once, which gives the area a kink. On tubes also the cosine with the gradient of the traced
+edges, over all coordinates. Times are the processor's, so that other work on the machine counts little; those of
+"traced" lack the tracing, since edges are kept. Writes benchmarks/results/gradients.json. Pin it to one core:
+`taskset -c 0`.
 """
 
 import os
@@ -30,7 +30,7 @@ from jaxtissue.topology.traced_sizes import trace_sizes
 
 NAMES = ("paper_Ra5", "ratio10_n100", "bluenoise_ratio10")
 CELLS = 200  # on other domains
-DIRECTIONS, STEP, STEPS = 8, 2e-4, {"bent tube": 5e-3}  # steps are lengths, of all backbones together
+DIRECTIONS, STEP = 8, 2e-4  # a step is a length, of all backbones together
 MANY = plan_layers(80, check=False)
 ENERGIES = {"volume": jt.volume_elasticity, "lateral_area": jt.lateral_tension}
 
@@ -85,19 +85,18 @@ def measured(name: str, domain: Any, place: np.ndarray, resolutions: tuple[str, 
     """The cosine for one tissue, by energy and resolution, and the cost of the gradient."""
     neighbors, ways, ends = jt.NeighborList.allocate(place, domain), [], []
     units = np.array([1, float(domain.basal_radius)]) if isinstance(domain, jt.Tube | jt.RoundTube) else 1.0
-    length = STEPS.get(name, STEP)
-    inner = is_inner(place, domain, length)[:, None]
+    inner = is_inner(place, domain, STEP)[:, None]
     for seed in range(DIRECTIONS):
         way = np.where(inner, np.random.default_rng(seed).normal(size=place.shape), 0)
         if place.shape[1] == 3:
             way -= (way * place).sum(axis=1, keepdims=True) * place
         ways.append(way / np.linalg.norm(way) / units)
-        ends.append([true_sizes(moved(place, step * ways[-1], domain), domain) for step in (length, -length)])
+        ends.append([true_sizes(moved(place, step * ways[-1], domain), domain) for step in (STEP, -STEP)])
     rows = []
     for energy, function in ENERGIES.items():
         model = jt.tube_model(domain, len(place), tension=1.0, cell_energy=function)
         sums = [[float(function(end, model).sum()) for end in pair] for pair in ends]
-        expected = [(high - low) / (2 * length) for high, low in sums]
+        expected = [(high - low) / (2 * STEP) for high, low in sums]
         for resolution in resolutions:
 
             def value(place: jax.Array, model: jt.Model = model, resolution: str = resolution) -> jax.Array:
@@ -106,12 +105,26 @@ def measured(name: str, domain: Any, place: np.ndarray, resolutions: tuple[str, 
             both = jax.jit(jax.value_and_grad(value))
             gradient = np.asarray(both(jnp.asarray(place))[1])
             found = [(gradient * way).sum() for way in ways]
-            cosine = np.dot(found, expected) / np.linalg.norm(found) / np.linalg.norm(expected)
-            row = {"tissue": name, "resolution": resolution, "energy": energy, "step": length, "cosine": float(cosine)}
+            row = {"tissue": name, "resolution": resolution, "energy": energy, "cosine": cosine(found, expected)}
+            if isinstance(domain, jt.Tube | jt.RoundTube):
+                row["cosine_all"] = cosine(gradient / units, traced_gradient(place, domain, function) / units)
             print(row, flush=True)
             times = [median_seconds(function, jnp.asarray(place)) for function in (jax.jit(value), both)]
             rows.append(row | {"energy_seconds": times[0], "with_gradient_seconds": times[1]})
     return rows
+
+
+def traced_gradient(place: np.ndarray, domain: Any, function: Any) -> np.ndarray:
+    """The gradient of an energy of the traced edges."""
+    tube = jt.Tube(domain.length, domain.apical_radius, domain.basal_radius)
+    model = jt.tube_model(tube, len(place), tension=1.0, cell_energy=function)
+    neighbors = jt.NeighborList.allocate(place, tube)
+    return np.asarray(jax.grad(lambda x: jt.tissue_energy(x, model, neighbors, "traced"))(jnp.asarray(place)))
+
+
+def cosine(found: Any, expected: Any) -> float:
+    """The cosine of the angle between two arrays."""
+    return float(np.sum(np.multiply(found, expected)) / np.linalg.norm(found) / np.linalg.norm(expected))
 
 
 def median_seconds(function: Any, place: jax.Array) -> float:

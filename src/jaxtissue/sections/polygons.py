@@ -29,7 +29,7 @@ from jaxtissue.sections.rims import joined
 from jaxtissue.sections.rings import Insertion, Ring, inserted, numbered, ordered, pairs_at_most, without
 from jaxtissue.sections.views import LEAST_SLOPE, Backbones, View, as_half_planes, first_places, gap, limit_planes
 
-SHARP = 0.03  # the sine of the angle of two walls below which their corner stays that of the lines
+SHARP = 0.003  # the sine of the angle of two walls below which their corner stays that of the lines
 STRIDE = 0.3  # of the way from the backbone to a corner, or of a chord: points move no farther
 INSERTED = 2  # edges in one pass, at most
 
