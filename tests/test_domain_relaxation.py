@@ -70,15 +70,15 @@ def test_lists_go_along_across_periods(monkeypatch):
     place = np.asarray(slab.random_positions(jax.random.key(1), n), float)
     lists = np.random.default_rng(0).integers(0, n, (5, n))
 
-    monkeypatch.setattr(moving_lists, "find_sections", lambda *_: type("Found", (), {"lists": lists}))
     monkeypatch.setattr(moving_lists, "clearances", lambda *_: (np.zeros(lists.shape), 1.0))
+    monkeypatch.setattr(moving_lists, "walls_of", lambda _: (np.zeros(0, int),) * 2)
     looked = []
 
-    def look(domain, positions, lists, *_):
-        looked.append((positions, lists[:5]))
-        return type("Found", (), {"rule": None}), []
+    def find(domain, positions, layers, rule=None, also=lists):
+        looked.append((positions, also[:5]))
+        return type("Found", (), {"lists": lists, "rule": None})
 
-    monkeypatch.setattr(moving_lists, "look_through", look)
+    monkeypatch.setattr(moving_lists, "find_sections", find)
     moving = MovingLists(slab, place, None, LAYERS)
     for gone in (3.0, -9.0):
         moving.renew(place + np.array([gone, 0.0]))

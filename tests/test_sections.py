@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import jaxtissue as jt
+from jaxtissue.neighbors.section_lists import crowd_of
 from jaxtissue.sections.cells import QUICK, RULE, cell_sections
+from jaxtissue.sections.crowd import distances, missing
 from jaxtissue.sections.rings import Ring, inserted, without
 
 HEIGHTS = np.array([0.07, 0.33, 0.67, 0.93])
@@ -16,6 +18,31 @@ SHAPES = {
     "wide tube": jt.RoundTube(40, 5, 10),
     "narrow tube": jt.RoundTube(20, 1, 10),
 }
+
+
+@pytest.mark.parametrize("height", [0.2, 3.0, 60.0])
+@pytest.mark.parametrize("bent", [False, True])
+def test_missing_neighbors_are_found(height, bent):
+    """Beside a search through all backbones: flat cells, and some of 200 times their width, which had been unproved."""
+    slab, n, rng = jt.Slab(4.0, 4.0, height), 150, np.random.default_rng(0)
+    place = np.asarray(slab.random_positions(jax.random.key(1), n), float)
+    nodes = np.clip(place[:, None] + rng.normal(0, 0.05, (n, 4, 2)), 0, 4) if bent else place
+    crowd, cells = crowd_of(slab, nodes), np.repeat(np.arange(n), 20)
+    lists = np.where(rng.random((24, n)) < 0.7, rng.integers(0, n, (24, n)), -1)
+    points = np.append(
+        place[cells] + rng.normal(0, 0.15, (len(cells), 2)), rng.random((len(cells), 1)) * height, axis=1
+    )
+    start, along = crowd.pieces()
+    whole = distances(start[:, None], along[:, None], points[:, None])
+    own = whole[np.arange(len(cells)), cells]
+    out = (np.arange(n) != cells[:, None]) & (lists.T[cells][:, :, None] != np.arange(n)).all(axis=1)
+    nearer = out & (whole < 0.99 * own[:, None])
+    pairs, unproved = missing(crowd, lists, points, cells)
+    found = np.zeros((n, n), bool)
+    found[tuple(pairs.T)] = True
+    assert unproved == 0 and nearer.any(axis=1).sum() > 100
+    assert (found[cells] & nearer).any(axis=1)[nearer.any(axis=1)].all()
+    assert not (found & ~np.logical_or.reduceat(out & (whole < own[:, None]), np.arange(0, len(cells), 20))).any()
 
 
 @pytest.mark.parametrize("shape", SHAPES)

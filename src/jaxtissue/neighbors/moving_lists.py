@@ -6,14 +6,13 @@ from jaxtyping import Float, Int
 
 from jaxtissue.geometry.base_surfaces import Rectangle
 from jaxtissue.geometry.domains import Domain
-from jaxtissue.neighbors.section_lists import Measured, crowd_of, find_sections, look_through
+from jaxtissue.neighbors.section_lists import Measured, crowd_of, find_sections
 from jaxtissue.neighbors.section_neighbors import SectionNeighbors
-from jaxtissue.sections.cells import RULE, Layers
-from jaxtissue.sections.crowd import ROUND_UP, distances, extended, turning_cells
+from jaxtissue.sections.cells import Layers
+from jaxtissue.sections.crowd import ROUND_UP, distances, turning_cells
 
 FEW = 24  # candidates on each list, where no cell has more neighbors
 NEAR = 0.05  # of the mean distance from backbones to corners, by which a candidate may miss a cell and is kept
-ROUNDS = 8  # of looking for missing neighbors
 DRIFT = 0.25  # periods by which a backbone may be outside of the first one
 
 
@@ -35,7 +34,7 @@ class MovingLists:
         self, domain: Domain, positions: Float[np.ndarray, "n *k d"], heights: np.ndarray | None, layers: Layers
     ) -> None:
         base = domain.base
-        self.domain, self._rule, self._heights, self._layers = domain, RULE, heights, layers
+        self.domain, self._heights, self._layers = domain, heights, layers
         self._extent = np.array([float(size) for size in base.extent] if isinstance(base, Rectangle) else [1.0] * 3)
         directions = base.directions if isinstance(base, Rectangle) else ("free",) * 3
         self._turns_off, self._has_copies = (
@@ -43,10 +42,9 @@ class MovingLists:
         )
         self.turns = np.zeros_like(positions)
         self.turns = self._turns_of(positions)
-        found = find_sections(domain, self.within(positions), layers)
-        self._wide, self._width = found.lists.shape[0], FEW
-        self._shorten(found, found.lists)
-        self.renew(positions)
+        self._found, self._width = find_sections(domain, self.within(positions), layers), FEW
+        self._rule = self._found.rule
+        self._shorten(self._found)
 
     @property
     def neighbors(self) -> SectionNeighbors:
@@ -70,22 +68,15 @@ class MovingLists:
         off = off if off.ndim == 2 else off[:, 0]
         if (off & self._turns_off).any():
             self._number_copies(self._turns_of(positions))
-        for _ in range(ROUNDS):
-            lists = np.pad(self._lists, ((0, max(0, self._wide - len(self._lists))), (0, 0)), constant_values=-1)
-            found, pairs = look_through(self.domain, self.within(positions), lists, self._layers, self._rule)
-            self._rule, self._found = found.rule, found
-            if not len(pairs):
-                break
-            self._shorten(found, extended(lists, pairs))
+        found = find_sections(self.domain, self.within(positions), self._layers, self._rule, self._lists)
+        self._rule, self._found = found.rule, found
+        cell, rival = walls_of(found)
+        if not (self._lists[:, cell] == rival).any(axis=0).all():
+            self._shorten(found)
 
     def turning_cells(self) -> Int[np.ndarray, " m"]:
         """The cells that cannot be measured, as found when lists were looked at last."""
-        found = self._found
-        slot, layer, cell = np.nonzero(np.asarray(found.sections.is_edge))
-        line = np.asarray(found.sections.line)[slot, layer, cell]
-        walls = line < len(found.lists)
-        cell, line = cell[walls], line[walls]
-        return turning_cells(crowd_of(self.domain, found.positions), cell, found.lists[line, cell])
+        return turning_cells(crowd_of(self.domain, self._found.positions), *walls_of(self._found))
 
     def _turns_of(self, positions: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
         first = positions[:, :1] if positions.ndim == 3 else positions
@@ -101,8 +92,9 @@ class MovingLists:
         number = np.where((self._lists >= 0) & same.any(axis=-1), same.argmax(axis=-1) * n + owner, -1)
         self._lists, self.turns = number.astype(np.int32), turns
 
-    def _shorten(self, found: Measured, lists: Int[np.ndarray, "q n"]) -> None:
+    def _shorten(self, found: Measured) -> None:
         """Keep the candidates that are nearest to bounding the cells as they are measured."""
+        lists = found.lists
         clear, unit = clearances(self.domain, found, lists)
         most = int((clear < NEAR * unit).sum(axis=0).max())
         self._width = max(self._width, -(-most // ROUND_UP) * ROUND_UP)
@@ -110,6 +102,14 @@ class MovingLists:
         self._lists = np.take_along_axis(lists, order, axis=0)
         spare = self._width - len(self._lists)
         self._lists = np.pad(self._lists, ((0, spare), (0, 0)), constant_values=-1).astype(np.int32)
+
+
+def walls_of(found: Measured) -> tuple[Int[np.ndarray, " w"], Int[np.ndarray, " w"]]:
+    """The cells and the backbones beyond each of their walls on each layer."""
+    slot, layer, cell = np.nonzero(np.asarray(found.sections.is_edge))
+    line = np.asarray(found.sections.line)[slot, layer, cell]
+    walls = line < len(found.lists)
+    return cell[walls], found.lists[line[walls], cell[walls]]
 
 
 def clearances(domain: Domain, found: Measured, lists: Int[np.ndarray, "q n"]) -> tuple[np.ndarray, float]:

@@ -59,9 +59,21 @@ def _segments(domain: Domain, positions: Array) -> Any:
     return gather_bent(domain, as_nodes(positions, domain)).segments
 
 
-def find_sections(domain: Domain, positions: np.ndarray, layers: Layers, rule: Rule = RULE) -> Measured:
-    """Measure sections on lists that grow until no corner of a cell is nearer to a backbone that is not listed."""
+def find_sections(
+    domain: Domain,
+    positions: np.ndarray,
+    layers: Layers,
+    rule: Rule = RULE,
+    also: Int[np.ndarray, "q n"] | None = None,
+) -> Measured:
+    """Measure sections on lists that grow until no corner of a cell is nearer to a backbone that is not listed.
+
+    Other candidates may be listed `also`, which saves rounds.
+    """
     lists, rounds = first_lists(crowd_of(domain, positions)), 0
+    if also is not None:
+        slot, cell = np.nonzero(also >= 0)
+        lists = extended(lists, np.stack([cell, also[slot, cell]], axis=1))
     while True:
         rounds += 1
         found, pairs = look_through(domain, positions, lists, layers, rule)

@@ -1,5 +1,6 @@
 """The backbones of a tissue with their copies beyond periodic directions, and the candidates of each cell."""
 
+import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -14,7 +15,8 @@ from jaxtissue.geometry.vectors import Vector, subtract
 from jaxtissue.sections.views import Backbones, Segments, through
 
 NEAREST = 16  # at each of three points of a backbone, of bent ones at each of up to six
-SAMPLES = 9  # points of a backbone that are searched
+SPACES = 4, 64  # between points of a backbone that are searched, at least and at most; more on slender cells
+AROUND = 64  # of these that are looked at round one of a backbone
 FOUND = 10, 160  # of these that are looked at round a corner, first, and where so few are not enough
 ROUNDING = 1e-4  # of its distance, by which a corner may be nearer to a candidate that is not listed
 CHUNK = 8192  # points that are looked at together
@@ -92,24 +94,47 @@ def missing(
     lists are complete where none is missing. Also returns at how many points this could not be made sure, since more
     backbones are near than were looked at.
     """
+    if not len(points):
+        return np.zeros((0, 2), int), 0
     start, along = crowd.pieces()
-    samples, length = crowd.points(SAMPLES)
+    own = (1 - ROUNDING) * distances(start[:, cells], along[:, cells], points)
+    slender = np.linalg.norm(along, axis=-1).sum(axis=0).max() / max(np.median(own), 1e-30)
+    each = 1 + len(start) * math.ceil(np.clip(slender / 4, *SPACES) / len(start))  # bends are among them
+    samples, length = crowd.points(each)
     tree = KDTree(samples.swapaxes(0, 1).reshape(-1, 3), balanced_tree=False, compact_nodes=False)  # quicker by 1/3
-    half = 0.5 * np.diff(length, axis=0).max()
-    pairs, left = [np.zeros((0, 2), int)], np.arange(len(points))
+    far = np.hypot(own, 0.5 * np.diff(length, axis=0).max())  # where no sample of a backbone is nearer, it is no nearer
+    pairs, left = [np.zeros((0, 2), int)], np.flatnonzero(_unlisted(tree, each, lists, points, cells) < far)
     for count in (min(count, tree.n) for count in FOUND):
         near, found = (part.reshape(len(left), count) for part in tree.query(points[left], count))
-        owner, cell = found // SAMPLES, cells[left]
-        own = (1 - ROUNDING) * distances(start[:, cell], along[:, cell], points[left])
+        owner, cell = found // each, cells[left]
         others = distances(start[:, owner], along[:, owner], points[left, None])
-        row, column = np.nonzero((others < own[:, None]) & (owner != cell[:, None]))
+        row, column = np.nonzero((others < own[left, None]) & (owner != cell[:, None]))
         listed = (lists.T[cell[row]] == owner[row, column, None]).any(axis=-1)
         lacks = np.zeros(owner.shape, bool)
         lacks[row, column] = ~listed
         pairs.append(np.stack([cell[row], owner[row, column]], axis=1)[~listed])
-        unseen = np.sqrt(np.maximum(near[:, -1] ** 2 - half**2, 0))
-        left = left[(unseen < own) & ~lacks.any(axis=1) & (count < tree.n)]
+        left = left[(near[:, -1] < far[left]) & ~lacks.any(axis=1) & (count < tree.n)]
     return np.unique(np.concatenate(pairs), axis=0), len(left)
+
+
+def _unlisted(
+    tree: KDTree,
+    each: int,
+    lists: Int[np.ndarray, "q n"],
+    points: Float[np.ndarray, "p 3"],
+    cells: Int[np.ndarray, " p"],
+) -> Float[np.ndarray, " p"]:
+    """How near to each point samples of unlisted backbones can be, by those round its own backbone."""
+    samples = tree.data.reshape(-1, each, 3)
+    away = np.linalg.norm(points[:, None] - samples[cells], axis=-1)
+    nearest = away.argmin(axis=1)
+    looked, back = np.unique(cells * each + nearest, return_inverse=True)
+    distance, found = tree.query(tree.data[looked], min(AROUND, tree.n))
+    owner, cell = found // each, looked // each
+    is_listed = owner == cell[:, None]
+    for row in lists:
+        is_listed |= owner == row[cell, None]
+    return np.where(is_listed, distance[:, -1:], distance).min(axis=1)[back] - away.min(axis=1)
 
 
 def overlaps(
