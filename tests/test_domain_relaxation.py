@@ -1,5 +1,7 @@
 """Relaxation on domains other than tubes: down to a minimum, however the tissue is turned, across periods."""
 
+import re
+
 import jax
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from jaxtissue.cli.commands import main
 from jaxtissue.geometry.domain_files import save_domain
 from jaxtissue.minimization import relaxation
 from jaxtissue.minimization.domain_energy import DomainEnergy
+from jaxtissue.minimization.merging import told_of_merging
 from jaxtissue.neighbors import moving_lists
 from jaxtissue.neighbors.moving_lists import MovingLists
 from jaxtissue.neighbors.section_neighbors import LAYERS
@@ -39,6 +42,37 @@ def test_a_cyst_relaxes_however_it_is_turned(x64, monkeypatch):
     # walls' speeds are those of true walls, energies those of two layers
     assert (here.gradient * way).sum() == pytest.approx(expected, abs=0.1 * float(np.linalg.norm(here.gradient)))
     assert np.abs((here.gradient * place).sum(axis=1)).max() < 1e-9 * np.abs(here.gradient).max()  # length is nothing
+
+
+def test_it_is_said_that_cells_collapse_and_why():
+    """In small units the constants of the paper are mostly tension: backbones merged, and nothing could be measured."""
+    cyst = jt.Sphere(1.0, 1.5)
+    start = cyst.random_positions(jax.random.key(0), CELLS)
+    result = jt.relax(start, jt.tube_model(cyst, CELLS))
+    assert not result.converged and result.energy < 0.95 * result.history[0].energy
+    told = re.match(r"cells \d+ and \d+ collapse, .* tension is ([0-9.]+) .* at most ([0-9.]+)$", result.message)
+    assert told is not None
+    relative, stiff = map(float, told.groups())
+    assert relative == pytest.approx(0.4 / (float(cyst.volume) / CELLS) ** (4 / 3), rel=0.02)
+    assert np.isfinite(jt.measure_tissue(result.positions, cyst, "draft", refine=False).volume).all()
+    result = jt.relax(start, jt.tube_model(cyst, CELLS, tension=stiff), steps=15)
+    assert "collapse" not in result.message
+    volume = np.asarray(jt.measure_tissue(result.positions, cyst, "draft", refine=False).volume)
+    assert volume.min() > 0.3 * volume.mean()
+
+
+def test_backbones_that_merge_are_found():
+    tube, slab = jt.Tube(10.0, 1.0, 2.0), jt.Slab(10.0, 10.0, 1.0)
+    model = jt.tube_model(tube, 3, tension=1.0)
+    before = np.array([[1.0, 0.0], [5.0, 1.0], [5.5, 1.0]])
+    after = np.array([[1.0, 0.0], [5.2, 1.0], [5.2005, 1.0]])
+    assert told_of_merging(before, after, model).startswith("cells 1 and 2 collapse")
+    assert told_of_merging(before, after, model).endswith("a smaller tension would hold them apart")
+    assert told_of_merging(after, after, model) == told_of_merging(after, before, model) == ""
+    assert told_of_merging(before[:1], after[:1], model) == ""
+    own = jt.tube_model(slab, 3, cell_energy=jt.lateral_tension)
+    bent, merged = (np.stack([place, place + 1.0, place], axis=1) for place in (before, after))
+    assert told_of_merging(bent, merged, own).endswith("does not hold them apart")
 
 
 def test_bent_backbones_relax_down_the_gradient_of_their_nodes(x64):

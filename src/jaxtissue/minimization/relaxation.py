@@ -20,6 +20,7 @@ from jaxtissue.minimization.domain_energy import DomainEnergy
 from jaxtissue.minimization.fire import FIRE
 from jaxtissue.minimization.lbfgs import LBFGS, Point
 from jaxtissue.minimization.lloyd import move_to_centroids
+from jaxtissue.minimization.merging import told_of_merging
 from jaxtissue.minimization.placed_energy import ITERATIONS, REACH, RELAXED, PlacedEnergy, RelaxRecord, Stage
 from jaxtissue.minimization.traced_energy import TRACED, TracedEnergy
 from jaxtissue.minimization.tube_energy import TubeEnergy
@@ -42,8 +43,8 @@ class RelaxResult:
         history: One `RelaxRecord` for the initial state and one after each step, with fields `step`, `evaluations`,
             `energy`, `gradient` (norm of the gradient) and `seconds`.
         converged: Whether the norm of the gradient (for "lloyd" the displacement) fell below the tolerance. If not,
-            either `steps` were used up, or the energy could not be lowered further. The latter is common, as the
-            discretized energy has kinks where walls appear or vanish.
+            `steps` were used up, or the energy could not be lowered further, which is common, as the discretized energy
+            has kinks where walls appear or vanish, or two cells collapsed, so that their backbones would merge.
         message: Reason for which the relaxation ended.
     """
 
@@ -172,12 +173,12 @@ def _descend(
         cure = "separate backbones that coincide, or anneal a few sweeps first"
         cure = cure if len(positions) > 1 else "one cell alone has no walls that could move, so give more cells"
         raise ValueError(f"the energy or its gradient is not finite at the start; {cure}")
-    least, before = tolerance * float(np.linalg.norm(here.gradient)), None
+    least, before, merging = tolerance * float(np.linalg.norm(here.gradient)), None, ""
     for step in range(steps + 1):
-        record, ended = energy.record(step, here), ""
+        record, ended = energy.record(step, here), merging
         if record.gradient <= least:
             ended = RELAXED
-        elif before is not None and not _goes_down(before, here, energy.stalled):
+        elif not merging and before is not None and not _goes_down(before, here, energy.stalled):
             ended = "no step lowers the energy further"
         yield Stage(record, energy.positions(here.place), ended)
         before, reach = here, longest
@@ -187,7 +188,8 @@ def _descend(
             if abs(there.energy - low.energy) > ROUNDING * abs(low.energy):
                 minimizer.forget()  # lists lacked a neighbor: it was another energy
             if there.energy <= here.energy or there.is_below(here):
-                here = there
+                merging = told_of_merging(*(energy.positions(point.place) for point in (here, there)), energy.model)
+                here = here if merging else there
                 break
             reach /= 4
             energy.renewed(here.place)
