@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxtissue.compilation import fusion
-from jaxtissue.compilation.fusion import arctan, is_option, options
+from jaxtissue.compilation.fusion import arctan, fusion_barrier, is_option, options
 from jaxtissue.diagram.exact import exact_cells
 from jaxtissue.geometry.tube import Tube
 from jaxtissue.measurement.cells import measure_cells
@@ -55,3 +55,12 @@ def test_options_that_the_compiler_lacks_are_left_out(monkeypatch) -> None:
     assert "xla_backend_optimization_level" not in options(light=True)
     with pytest.raises(RuntimeError, match="xla_cpu_prefer_vector_width"):  # known, but not by this value
         is_option("xla_cpu_prefer_vector_width", "wide")
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="barriers are for the compiler for CPUs")
+@pytest.mark.parametrize("truth", [True, np.ones(3)])
+def test_barriers_stand_where_the_compiler_could_know_the_truth(truth) -> None:
+    """Heights of layers that are constants of a program had let it fold all of its barriers: it took twice as long."""
+    program = jax.jit(lambda x: fusion_barrier(lambda: x + 1, jax.numpy.asarray(truth)) * 2)
+    assert "conditional(" in str(program.lower(np.ones(4, np.float32)).compile().as_text())
+    assert program(np.ones(4, np.float32)).tolist() == [4.0] * 4

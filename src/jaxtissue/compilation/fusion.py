@@ -34,6 +34,7 @@ def fusion_barrier(compute: Callable[[], T], truth: Array) -> T:
     """
     if truth.dtype != bool or truth.ndim:
         truth = truth[(0,) * truth.ndim].astype(float) > -1e38
+    truth = jax.lax.optimization_barrier(truth)  # of a constant the compiler would know it
     compute = jax.jit(compute, inline=True)  # traced once
     empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(compute))
     return jax.lax.cond(truth, compute, lambda: empty)

@@ -40,6 +40,11 @@ class Rectangle(eqx.Module):
         """The point with the local coordinates y round m."""
         return (m[0] + y[0], m[1] + y[1])
 
+    def steps(self, m: Vector) -> tuple[Vector, Vector]:
+        """The derivatives of the point by the local coordinates, at m."""
+        one, none = jnp.ones_like(m[0]), jnp.zeros_like(m[0])
+        return (one, none), (none, one)
+
     def difference(self, m: Vector, other: Vector) -> Vector:
         """The local coordinates of another point round m, the nearest ones where it has several."""
         apart = []
@@ -122,6 +127,10 @@ class UnitSphere(eqx.Module):
         first, second = tangents(m)
         point = tuple(a + y[0] * b + y[1] * c for a, b, c in zip(m, first, second, strict=True))
         return scale(1 / jnp.sqrt(dot(point, point)), point)
+
+    def steps(self, m: Vector) -> tuple[Vector, Vector]:
+        """The derivatives of the point by the local coordinates, at m: unit vectors at right angles to it."""
+        return tangents(m)
 
     def difference(self, m: Vector, other: Vector) -> Vector:
         """The local coordinates of another point round m; what lies beyond the chart is put at its rim."""

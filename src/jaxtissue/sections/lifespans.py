@@ -17,7 +17,7 @@ from jaxtissue.geometry.vectors import Vector, add, dot, scale, subtract
 from jaxtissue.sections.cells import Layers
 from jaxtissue.sections.half_planes import number_in, take, with_number
 from jaxtissue.sections.polygons import Edges, Polygon
-from jaxtissue.sections.views import View, gap
+from jaxtissue.sections.views import View, between_surfaces, gap
 
 LEVEL = 1e-3  # the sine of the angle of two walls on a layer below which the course of their edge is not known
 AGES = 10.0  # of the height of the tissue: for ever
@@ -35,7 +35,8 @@ def corner_weights(domain: Domain, view: View, polygon: Polygon, other: Edges, l
     """
     order = jnp.argsort(jnp.asarray(layers.heights))
     height, weight = (jnp.asarray(table, view.height.dtype)[order] for table in (layers.heights, layers.weights[0]))
-    above, below = (span[:, order] for span in _lifespans(domain, view, polygon, other))
+    inner = between_surfaces((view, polygon, other), len(view.height))  # surfaces have no weight
+    above, below = (jnp.pad(span, ((0, 0), (0, 2), (0, 0)))[:, order] for span in _lifespans(domain, *inner))
     h, w, top = (column[:, None] for column in (height, weight, jnp.cumsum(weight)))
     end, begin = h + above, h - below
     late = jnp.where(end < jnp.append(height[1:], 1)[:, None], end - top, 0)

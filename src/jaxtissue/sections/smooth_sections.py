@@ -9,7 +9,7 @@ from jax.custom_derivatives import SymbolicZero, zero_from_primal
 from jaxtyping import Array, Float, Int
 
 from jaxtissue.geometry.domains import Domain
-from jaxtissue.geometry.vectors import Vector, add, area, dot, scale, subtract, turned
+from jaxtissue.geometry.vectors import Vector, add, area, components, dot, scale, subtract, turned
 from jaxtissue.sections.cells import Layers, cell_view
 from jaxtissue.sections.polygons import Rule, final_polygon
 from jaxtissue.sections.rims import joined
@@ -36,7 +36,8 @@ def smooth_sections(
 ) -> Sections:
     """The sections of all cells, as `cell_sections` has them; derivatives are those of their true walls.
 
-    Sizes and volumes have derivatives, corners and middles have none. Those of wall areas hold for the sum over the
+    Sizes and volumes have derivatives, corners and middles have none, and heights of nodes and lengths of unit vectors
+    count for nothing. Those of wall areas hold for the sum over the
     layers by the first row of weights: in them corners count for as long as their edges exist.
     """
     return measure_sections(domain, cell_view(domain, positions, lists, layers.heights), rule)
@@ -52,7 +53,8 @@ def _with_speeds(rule: Rule, primals: tuple, tangents: tuple) -> tuple[Sections,
     changes = [jnp.zeros_like(size) for size in sizes]
     if not isinstance(tangents[0], SymbolicZero):
         found = wall_speeds(domain, view, polygon, lists, positions, layers)
-        way = tangents[0][..., : len(domain.columns)].reshape(len(positions), -1)  # the heights of nodes stay
+        place, way = (components(table[..., : len(domain.columns)]) for table in (positions, tangents[0]))
+        way = jnp.stack([dot(step, way) for step in domain.base.steps(place)], axis=-1).reshape(len(positions), -1)
         ways = [way.T[:, None, None], *(jnp.moveaxis(way[number], -1, 0) for number in found[4:])]
 
         def change(speeds: tuple[Slopes, ...]) -> Array:

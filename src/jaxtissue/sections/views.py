@@ -1,6 +1,6 @@
 """Coordinates of a cell in its tangent plane on a layer, and the bisectors to its candidates there."""
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +10,7 @@ from jaxtissue.geometry.domains import Domain, Frame
 from jaxtissue.geometry.vectors import Vector, add, dot, scale, subtract
 from jaxtissue.sections.half_planes import FAR, HalfPlanes, take
 
+Tables = TypeVar("Tables")
 LEAST_SLOPE = 1e-6  # of a bisector along the layer, as a part of its slope, below which it is no line
 
 
@@ -169,3 +170,8 @@ def first_places(view: View, flat: Frame) -> Vector:
     """Half of the tangent part of the way from the backbone to each rival, [q, *T]."""
     away = view.rivals.offset(flat.point)
     return (-dot(away, flat.first) / 2, -dot(away, flat.second) / 2)
+
+
+def between_surfaces(tables: Tables, layers: int) -> Tables:
+    """Tables of so many layers without the last two, which are the surfaces; other tables as they are."""
+    return jax.tree.map(lambda part: part[..., :-2, :] if part.shape[-2:-1] == (layers,) else part, tables)

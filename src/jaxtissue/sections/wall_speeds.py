@@ -5,7 +5,7 @@ moves by g' / |grad g|. A cell gains the volume that its walls sweep. The area o
 at points that move with the wall, and what corners that slide along it add at its ends.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from jaxtissue.sections.lifespans import corner_weights
 from jaxtissue.sections.polygons import Edges, Polygon
 from jaxtissue.sections.rims import joined, mean, parts
 from jaxtissue.sections.sizes import STEEP, integrands, to_wall
-from jaxtissue.sections.views import LEAST_SLOPE, Backbones, Polylines, Segments, View, gap
+from jaxtissue.sections.views import LEAST_SLOPE, Backbones, Polylines, Segments, View, between_surfaces, gap
 
 BLUNT = 0.03  # the sine of the angle of two walls below which their corner slides less than it should
 
@@ -29,7 +29,7 @@ Slopes = tuple[Array, ...]  # by each coordinate of a backbone, [slots, *T]
 
 
 class Speeds(NamedTuple):
-    """How sections change with the coordinates of the backbones that bound them: own, across, before and after an edge.
+    """How sections change with local coordinates of backbones that bound them: own, across, before and after an edge.
 
     Attributes:
         wall: Of the area of each wall per height; by all four.
@@ -51,7 +51,7 @@ class Speeds(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """How the ends of backbones move with one coordinate, [n], or those of the segments of bent ones, [segments, n]."""
+    """How ends of backbones, or of the segments of bent ones, move with one local coordinate, [n] or [segments, n]."""
 
     start: Vector
     end: Vector
@@ -122,8 +122,7 @@ def wall_speeds(
         return tuple(tuple(span * mean(jnp.abs(element) * side) for side in by) for by in sides)
 
     wall, length = (
-        _with_slides(span, size, [[rate[k] for rate in by] for by in grown], slides, (weight, (1.0, 1.0))[k])
-        for k, size in enumerate(sizes[:2])
+        _with_slides(span, size, grown[k], slides, (weight, (1.0, 1.0))[k]) for k, size in enumerate(sizes[:2])
     )
     return Speeds(wall, length, swept(sizes[2][0]), swept(sizes[2][1]), across, before, after)
 
@@ -155,24 +154,20 @@ def _both_ends(domain: Domain, view: View, polygon: Polygon, after: Edges, layer
 
 
 def _motions(domain: Domain, positions: Float[Array, "n *k d"]) -> list[Motion]:
-    """How backbones move with each coordinate, of bent ones node by node."""
+    """How backbones move with each local coordinate, of bent ones node by node."""
     if positions.ndim == 2:
         place, found = components(positions), []
-        for way in _ways(place, jnp.ones_like(place[0])):
+        for way in domain.base.steps(place):
             found.append(Motion(*jax.jvp(domain.surfaces, (place,), (way,))[1]))
         return found
     nodes, found = as_nodes(positions, domain), []
     for node in range(positions.shape[1]):
-        for way in _ways(nodes.place, jnp.zeros_like(nodes.height).at[:, node].set(1)):
+        for step in domain.base.steps(nodes.place):
+            way = tuple(jnp.zeros_like(part).at[:, node].set(part[:, node]) for part in step)
             moved = jax.jvp(lambda place: node_points(Nodes(place, nodes.height), domain), (nodes.place,), (way,))[1]
             found.append(Motion(*(tuple(part[:, some].T for part in moved) for some in (slice(-1), slice(1, None)))))
     is_segment = positions.shape[1] == 2  # tilted backbones are segments, as straight ones are
     return jax.tree.map(lambda part: part[0], found) if is_segment else found
-
-
-def _ways(place: Vector, size: Array) -> list[Vector]:
-    """Along each coordinate, so far."""
-    return [tuple(size * (axis == k) for axis in range(len(place))) for k in range(len(place))]
 
 
 def _closer(backbones: Backbones, motion: Motion, point: Vector) -> Array:
@@ -228,32 +223,34 @@ def _growths(
     edge: Edges,
     motions: tuple[list[Motion], list[Motion]],
     sides: list[list[Array]],
-) -> list[list[tuple[Array, Array]]]:
+) -> list[list[list[Array]]]:
     """How the wall's area and the edge's length grow, in the mean over the edge, at points that move with the wall.
 
-    One direction after the other, in a loop: so it is compiled once.
+    One direction after the other, in a loop: so it is compiled once. The loop for lengths falls away if none are asked.
+    On the two surfaces, which have no weight, areas of walls do not grow.
     """
     own, theirs = ([motion.as_change() for motion in by] for by in motions)
     none = tuple(jax.tree.map(jnp.zeros_like, by[0]) for by in (own, theirs))
     ways = [(change, none[1]) for change in own] + [(none[0], change) for change in theirs]
-    stacked = jax.tree.map(lambda *tables: jnp.stack(tables), *ways)
+    stacked = jax.tree.map(lambda *tables: jnp.stack(tables), *ways), jnp.stack([*sides[0], *sides[1]])
 
-    def sizes(backbones: Backbones, rivals: Backbones, z: Vector) -> tuple[Array, Array]:
-        return integrands(domain, view._replace(own=backbones), z, edge._replace(rivals=rivals))[:2]
+    def loop(number: int, given: tuple[View, Edges, Vector, Any]) -> Array:
+        view, edge, z, stacked = given
 
-    def turn(_: None, way: tuple[tuple[Backbones, Backbones], Array]) -> tuple[None, Array]:
-        (mine, across), side = way
-        tangents = (mine, joined(across, across, across), scale(side, edge.plane.normal))
+        def size(backbones: Backbones, rivals: Backbones, z: Vector) -> Array:
+            sizes = integrands(domain, view._replace(own=backbones), z, edge._replace(rivals=rivals))
+            return sizes[1] if number else sizes[0]
 
-        def rate() -> Array:
-            wall, length = jax.jvp(sizes, (view.own, edge.rivals, z), tangents)[1]
-            return jax.lax.complex(wall, length)
+        def turn(way: tuple[tuple[Backbones, Backbones], Array]) -> Array:
+            (mine, across), side = way
+            tangents = (mine, joined(across, across, across), scale(side, edge.plane.normal))
+            return mean(fusion_barrier(lambda: jax.jvp(size, (view.own, edge.rivals, z), tangents)[1], view.anchor))
 
-        return None, mean(fusion_barrier(rate, view.anchor))
+        return jax.lax.map(turn, stacked)
 
-    _, found = jax.lax.scan(turn, None, (stacked, jnp.stack([*sides[0], *sides[1]])))
-    rates = [(rate.real, rate.imag) for rate in found]
-    return [rates[: len(own)], rates[len(own) :]]
+    given = view, edge, z, stacked
+    walls = jnp.pad(loop(0, between_surfaces(given, len(view.height))), ((0, 0), (0, 0), (0, 2), (0, 0)))
+    return [[list(rates[: len(own)]), list(rates[len(own) :])] for rates in (walls, loop(1, given))]
 
 
 def _slides(
