@@ -48,7 +48,7 @@ def tissue_energy(
     Args:
         positions: Axial position and angle in radians of each backbone, floats, shape [n, 2]; on other domains
             coordinates of shape [n, 2] or unit vectors of shape [n, 3], or those of the nodes of tilted and bent
-            backbones, as in `measure_tissue`. The heights of nodes have derivatives of 0.
+            backbones, as in `measure_tissue`. Derivatives by heights of nodes and along unit vectors are 0.
         model: Energy model; see `tube_model`.
         neighbors: Neighbor list valid for `positions`, from `NeighborList.allocate`.
         resolution: "draft", "standard" (the default) or "fine", or a `Resolution`; in a `Tube` also "traced". Then the
