@@ -36,9 +36,9 @@ def smooth_sections(
 ) -> Sections:
     """The sections of all cells, as `cell_sections` has them; derivatives are those of their true walls.
 
-    Sizes and volumes have derivatives, corners and middles have none, and heights of nodes and lengths of unit vectors
-    count for nothing. Those of wall areas hold for the sum over the
-    layers by the first row of weights: in them corners count for as long as their edges exist.
+    Sizes and volumes have derivatives, corners and middles have none. Heights of nodes and lengths of unit vectors
+    count for nothing. Derivatives of wall areas hold for the sum over the layers by the first row of weights: in them
+    corners count for as long as their edges exist.
     """
     return measure_sections(domain, cell_view(domain, positions, lists, layers.heights), rule)
 
